@@ -1,0 +1,1 @@
+"""The modules the stages call, named by the field; pipeline.yaml is the table of contents."""
