@@ -1,0 +1,421 @@
+"""Recipes of the synthetic scenes: geometry, materials, lamp, camera and film, by code.
+
+    recipe = recipes.make("office-2")      # the same every time
+    recipe.write_model(folder)             # model.obj, model.mtl
+    recipe.cameramodel()                   # text of left.posed.cameramodel
+
+A recipe knows the truth; `stages/synthesise.py` renders it.  Rooms are made of single polygons that face inwards
+(one object each, so that no room is mistaken for a solid), furniture of closed boxes and prisms that stand on the
+floor and touch the walls.  z is up; metres.
+"""
+from dataclasses import dataclass, field
+from pathlib import Path
+import json
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A convex planar polygon, counter-clockwise seen from its front."""
+    object: str
+    group: str
+    points: np.ndarray            # (n, 3) m
+
+
+@dataclass(frozen=True)
+class Recipe:
+    name: str
+    polygons: tuple               # of Polygon
+    materials: dict               # group -> rho_d (3,); lamps are not in it
+    lamps: dict                   # group -> emittance (3,), camera-referred
+    gamma: float | None           # None: linear, an EXR
+    K: np.ndarray                 # (3, 3) px
+    size: tuple                   # width, height px
+    T_cam_world: np.ndarray       # (4, 4)
+    reference: dict = field(default_factory=dict)   # lamp group -> rho_d of its surface
+    channels: int = 3
+    about: str = ""
+
+    @property
+    def groups(self) -> tuple:
+        """Every group, lamps too, in the order in which the model names them."""
+        return tuple(dict.fromkeys(p.group for p in self.polygons))
+
+    @property
+    def objects(self) -> tuple:
+        return tuple(dict.fromkeys(p.object for p in self.polygons))
+
+    def rho_d(self, group) -> tuple:
+        """Diffuse reflectance per channel; a lamp reflects only what `reference` says."""
+        return tuple(self.materials.get(group, self.reference.get(group, (0.0, 0.0, 0.0))))
+
+    def project(self, p_world) -> np.ndarray:
+        """(N, 3) m -> (N, 2) px; (0, 0) is the centre of the top-left pixel."""
+        p_cam = np.asarray(p_world) @ self.T_cam_world[:3, :3].T + self.T_cam_world[:3, 3]
+        q = p_cam @ self.K.T
+        return q[:, :2] / q[:, 2:]
+
+    def model(self) -> tuple:
+        """(text of model.obj, text of model.mtl)."""
+        lines, vertices, usemtl = [f"# {self.name}: made by stages/synthesise.py; metres, z up", "mtllib model.mtl"], {}, None
+        for name in self.objects:
+            lines.append(f"o {name}")
+            usemtl = None
+            for polygon in (p for p in self.polygons if p.object == name):
+                corners = [tuple(f"{x:.6f}".replace("-0.000000", "0.000000") for x in p) for p in polygon.points]
+                for corner in corners:
+                    if corner not in vertices:
+                        vertices[corner] = len(vertices) + 1
+                        lines.append("v " + " ".join(corner))
+                if polygon.group != usemtl:
+                    usemtl = polygon.group
+                    lines.append(f"usemtl {usemtl}")
+                lines.append("f " + " ".join(str(vertices[c]) for c in corners))
+        # The .mtl names the groups and gives each a colour to look at; it is not the truth.
+        mtl = []
+        for i, group in enumerate(self.groups):
+            hue = np.array([0.0, 2.1, 4.2]) + 2.4 * i
+            kd = np.ones(3) if group in self.lamps else 0.6 + 0.25 * np.cos(hue)
+            mtl += [f"newmtl {group}", "Kd " + " ".join(f"{x:.3f}" for x in kd)]
+        return "\n".join(lines) + "\n", "\n".join(mtl) + "\n"
+
+    def cameramodel(self) -> str:
+        """mrcal's text format, extrinsics relative to the model's frame."""
+        intrinsics = [self.K[0, 0], self.K[1, 1], self.K[0, 2], self.K[1, 2]]
+        extrinsics = [*rodrigues(self.T_cam_world[:3, :3]), *self.T_cam_world[:3, 3]]
+        numbers = lambda xs: ", ".join(f"{x:.15g}" for x in xs)
+        return ("{\n"
+                "    'lensmodel':  'LENSMODEL_PINHOLE',\n\n"
+                "    # intrinsics are fx,fy,cx,cy\n"
+                f"    'intrinsics': [ {numbers(intrinsics)} ],\n\n"
+                "    # rt_cam_world: a Rodrigues vector, then a translation in metres\n"
+                f"    'extrinsics': [ {numbers(extrinsics)} ],\n\n"
+                f"    'imagersize': [ {self.size[0]}, {self.size[1]} ],\n"
+                "}\n")
+
+    def scene_yaml(self) -> str:
+        """What a photographer would know: the lamps, and what reflects a known amount.  Not the transfer."""
+        triple = lambda xs: "[" + ", ".join(f"{x:.6g}" for x in xs) + "]"
+        lines = [f"# {self.about}"]
+        lines.append("lamps: {" + ", ".join(f"{g}: {triple(E)}" for g, E in self.lamps.items()) + "}")
+        if self.reference:
+            lines.append("reference: {" + ", ".join(f"{g}: {triple(r)}" for g, r in self.reference.items()) + "}")
+        return "\n".join(lines) + "\n"
+
+
+def make(name) -> Recipe:
+    """The recipe of one scene.  Raises KeyError for a name that is not in `NAMES`."""
+    return _RECIPES[name]()
+
+
+# ---- geometry ----------------------------------------------------------------------------------------------
+
+def rectangle(object, group, corner, u, v) -> Polygon:
+    """The parallelogram corner, corner + u, corner + u + v, corner + v; its front is where u x v points."""
+    c, u, v = (np.asarray(x, float) for x in (corner, u, v))
+    return Polygon(object, group, np.array([c, c + u, c + u + v, c + v]))
+
+
+def prism(object, group, outline, z0, z1, *, top=None, sides=None) -> list:
+    """A closed prism over a convex outline (n, 2), counter-clockwise seen from above.
+
+    `top` and `sides[i]` (the side that starts at corner i) may belong to other groups."""
+    xy, n, sides = np.asarray(outline, float), len(outline), sides or {}
+    low, high = np.c_[xy, np.full(n, z0)], np.c_[xy, np.full(n, z1)]
+    faces = [Polygon(object, group, low[::-1]), Polygon(object, top or group, high)]
+    for i in range(n):
+        j = (i + 1) % n
+        faces.append(Polygon(object, sides.get(i, group), np.array([low[i], low[j], high[j], high[i]])))
+    return faces
+
+
+def box(object, group, low, high, *, turn=0.0, **groups) -> list:
+    """A closed box between two corners, turned about its own vertical axis by `turn` radians.
+
+    Other groups: `top=`, or `sides={i: group}` with i = 0 the side at -y, 1 at +x, 2 at +y, 3 at -x."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    outline = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float)
+    if turn:
+        c, s, middle = np.cos(turn), np.sin(turn), outline.mean(0)
+        outline = (outline - middle) @ np.array([[c, s], [-s, c]]) + middle
+    return prism(object, group, outline, z0, z1, **groups)
+
+
+def regular(centre, radius, n, start=0.0) -> np.ndarray:
+    """Corners of a regular polygon, counter-clockwise: (n, 2)."""
+    a = start + 2 * np.pi * np.arange(n) / n
+    return np.asarray(centre) + radius * np.c_[np.cos(a), np.sin(a)]
+
+
+def room(x, y, z, walls=("wall",) * 4) -> list:
+    """Floor, ceiling and four walls (at y = 0, x = x, y = y, x = 0) as single polygons that face inwards."""
+    return [
+        rectangle("floor", "floor", (0, 0, 0), (x, 0, 0), (0, y, 0)),
+        rectangle("ceiling", "ceiling", (0, 0, z), (0, y, 0), (x, 0, 0)),
+        rectangle("walls", walls[0], (0, 0, 0), (0, 0, z), (x, 0, 0)),
+        rectangle("walls", walls[1], (x, 0, 0), (0, 0, z), (0, y, 0)),
+        rectangle("walls", walls[2], (x, y, 0), (0, 0, z), (-x, 0, 0)),
+        rectangle("walls", walls[3], (0, y, 0), (0, 0, z), (0, -y, 0)),
+    ]
+
+
+def lamp(object, group, centre, size_x, size_y, z) -> Polygon:
+    """A panel that shines downwards."""
+    x, y = centre[0] - size_x / 2, centre[1] - size_y / 2
+    return rectangle(object, group, (x, y, z), (0, size_y, 0), (size_x, 0, 0))
+
+
+# ---- camera ------------------------------------------------------------------------------------------------
+
+def look(eye, target, up=(0, 0, 1)) -> np.ndarray:
+    """T_cam_world (4, 4) of a camera at `eye`: x right, y down, z towards `target`."""
+    eye, target, up = (np.asarray(v, float) for v in (eye, target, up))
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    T = np.eye(4)
+    T[:3, :3] = right, np.cross(forward, right), forward
+    T[:3, 3] = -T[:3, :3] @ eye
+    return T
+
+
+def pinhole(width, height, focal_px, shift=(0.0, 0.0)) -> np.ndarray:
+    """K with square pixels; the principal point `shift` px from the image's centre."""
+    return np.array([[focal_px, 0, (width - 1) / 2 + shift[0]], [0, focal_px, (height - 1) / 2 + shift[1]], [0, 0, 1.0]])
+
+
+def rodrigues(R) -> np.ndarray:
+    """Rotation matrix -> axis * angle (3,); angles below pi."""
+    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = np.linalg.norm(axis) / 2, (np.trace(R) - 1) / 2
+    if sine < 1e-9:                       # none of our cameras is turned by pi
+        return axis / 2
+    return axis / (2 * sine) * np.arctan2(sine, cosine)
+
+
+def exposed(polygons, materials, lamps, level) -> float:
+    """The factor on `lamps` that puts the mean radiosity of the room near `level`: the flux balance
+    mean B = rho Phi / (S (1 - rho)) with area means (DESIGN: flux balance).  Rounded to two digits: an exposure, no more."""
+    def area(p):
+        e = p.points - p.points[0]
+        return np.linalg.norm(np.cross(e[1:-1], e[2:]).sum(0)) / 2
+    S = sum(area(p) for p in polygons if p.group in materials)
+    rho = sum(area(p) * np.mean(materials[p.group]) for p in polygons if p.group in materials) / S
+    flux = sum(area(p) * np.mean(lamps[p.group]) for p in polygons if p.group in lamps)
+    return float(f"{level * S * (1 - rho) / (rho * flux):.2g}")
+
+
+def scaled(E, tint) -> tuple:
+    return tuple(round(float(E * t), 4) for t in tint)
+
+
+# ---- scenes ------------------------------------------------------------------------------------------------
+
+_OFFICE = {
+    "wall": (.72, .69, .62), "floor": (.38, .30, .23), "ceiling": (.80, .80, .77), "board": (.08, .17, .12),
+    "frame": (.52, .36, .18), "desktop": (.58, .42, .26), "deskpanel": (.30, .34, .42), "cabinet": (.47, .50, .52),
+    "door": (.55, .22, .16), "chair": (.16, .22, .46), "monitor": (.09, .10, .14),
+    "partition": (.36, .56, .50), "carton": (.60, .45, .28), "bin": (.62, .60, .20), "book": (.60, .12, .10),
+    "poster": (.66, .62, .34),
+}
+
+
+def office(seed=0) -> Recipe:
+    """The paper's kind of room, 5 x 4 x 2.8 m, seen from its near corner.
+
+    The partition is one polygon whose near side faces away from the lamp, so only indirect light reaches what the
+    camera sees of it.  Seeds 1-3 change materials, gamma, camera and lamp, and keep the furniture."""
+    random = np.random.default_rng([7, seed])
+    materials = dict(_OFFICE)
+    lamp_at, lamp_size, tint, gamma = (2.95, 2.05), (1.2, 0.7), (1.0, .96, .88), 2.0
+    eye, target, focal, shift, level = np.array([.40, 1.0, 1.55]), np.array([4.0, 2.68, 1.28]), 400.0, (0.0, 0.0), .24
+    if seed:
+        for group, rho in materials.items():       # each channel moves by itself, so colours change too
+            low, high = (.04, .22) if group in ("board", "monitor") else (.55, .85) if group in ("wall", "ceiling") else (.08, .72)
+            mixed = np.array(rho) + random.uniform(-.14, .14) + random.uniform(-.10, .10, 3)
+            materials[group] = tuple(np.round(np.clip(mixed, low, high), 3))
+        gamma = (None, 1.6, 2.6, 2.23)[seed]
+        lamp_at = (random.uniform(2.7, 3.3), random.uniform(1.7, 2.4))
+        lamp_size = (random.uniform(.5, 1.5), random.uniform(.4, 1.0))
+        tint = tuple(np.round((1.0, random.uniform(.85, 1.0), random.uniform(.7, 1.0)), 3))
+        eye = eye + random.uniform(-.18, .18, 3)
+        target = target + random.uniform(-.2, .2, 3) * (1, 1, .6)
+        focal = random.uniform(385, 425)
+        shift = ((0, 0), (7.3, -4.6), (0, 0), (-11.2, 5.4))[seed]
+        level = random.uniform(.18, .26)
+
+    x, y, z = 5.0, 4.0, 2.8
+    p = room(x, y, z)
+    # the blackboard touches the wall; its frame is four bars around it, a little thicker
+    p += box("board", "board", (2.15, 3.97, .95), (3.55, 4.0, 1.95))
+    p += box("frame", "frame", (2.09, 3.955, .89), (3.61, 4.0, .95))
+    p += box("frame-top", "frame", (2.09, 3.955, 1.95), (3.61, 4.0, 2.01))
+    p += box("frame-left", "frame", (2.09, 3.955, .95), (2.15, 4.0, 1.95))
+    p += box("frame-right", "frame", (3.55, 3.955, .95), (3.61, 4.0, 1.95))
+    # cabinet against the wall; its door is a plate on the front
+    p += box("cabinet", "cabinet", (3.95, 3.5, 0), (4.8, 4.0, 1.6))
+    p += box("door", "door", (3.99, 3.47, .08), (4.76, 3.5, 1.52))
+    # desk against the wall x = 5
+    p += box("desktop", "desktop", (4.0, 1.25, .72), (5.0, 2.95, .76))
+    p += box("desk-left", "deskpanel", (4.1, 2.85, 0), (5.0, 2.9, .72))
+    p += box("desk-right", "deskpanel", (4.1, 1.3, 0), (5.0, 1.35, .72))
+    p += box("desk-back", "deskpanel", (4.9, 1.35, .25), (4.95, 2.85, .72))
+    p += box("monitor", "monitor", (4.55, 1.75, .80), (4.62, 2.45, 1.25))
+    p += box("stand", "monitor", (4.48, 1.98, .76), (4.7, 2.22, .80))
+    p += box("book", "book", (4.1, 2.44, .76), (4.4, 2.84, .92), turn=.2)
+    # chair: a seat, a back and two runners
+    p += box("seat", "chair", (3.45, 1.75, .43), (3.95, 2.25, .48))
+    p += box("chair-back", "chair", (3.45, 1.78, .48), (3.49, 2.22, .95))
+    p += box("runner-left", "chair", (3.45, 2.19, 0), (3.95, 2.24, .43))
+    p += box("runner-right", "chair", (3.45, 1.76, 0), (3.95, 1.81, .43))
+    # things on the floor
+    p += box("carton", "carton", (2.35, 2.55, 0), (2.85, 2.95, .36), turn=.5)
+    p += box("carton-2", "carton", (2.45, 2.6, .36), (2.75, 2.85, .56), turn=-.2)
+    p += prism("bin", "bin", regular((4.45, .85), .15, 6, .2), 0, .36)
+    p += box("poster", "poster", (4.985, 3.05, 1.2), (5.0, 3.45, 1.75))
+    p += [rectangle("partition", "partition", (1.9, 0, 0), (0, .78, 0), (0, 0, 1.35))]
+    p += [lamp("lamp", "lamp", lamp_at, *lamp_size, z - .05)]
+
+    E = exposed(p, materials, {"lamp": tint}, level)
+    about = "An office: the paper's kind of room" + (f", seed {seed}" if seed else "") + "; the lamp's emittance is known"
+    return Recipe(f"office-{seed}" if seed else "office", tuple(p), materials, {"lamp": scaled(E, tint)}, gamma,
+                  pinhole(640, 480, focal, shift), (640, 480), look(eye, target), about=about)
+
+
+def gallery_white() -> Recipe:
+    """An exhibition room where everything reflects 0.70 to 0.90: the printed update diverges here."""
+    materials = {"floor": (.76, .73, .70), "ceiling": (.90, .90, .89), "wall": (.86, .86, .85), "panel": (.88, .84, .80),
+                 "stele": (.80, .84, .88), "plinth": (.84, .80, .78), "bench": (.78, .72, .70), "divider": (.82, .86, .80)}
+    x, y, z = 7.0, 5.5, 3.4
+    p = room(x, y, z)
+    p += box("panel-1", "panel", (2.6, 5.46, 1.0), (3.9, 5.5, 2.1))
+    p += box("panel-2", "panel", (4.6, 5.46, 1.0), (5.9, 5.5, 2.1))
+    p += box("panel-3", "panel", (6.96, 2.2, .9), (7.0, 3.6, 2.2))
+    p += box("plinth-1", "plinth", (3.1, 3.3, 0), (3.6, 3.8, 1.05))
+    p += prism("stele", "stele", regular((5.2, 3.9), .35, 6, .1), 0, 1.5)
+    p += box("plinth-2", "plinth", (4.6, 1.4, 0), (5.2, 2.0, .7), turn=.35)
+    p += box("bench", "bench", (2.3, 2.1, .38), (3.9, 2.55, .46))
+    p += box("bench-leg-1", "bench", (2.4, 2.15, 0), (2.5, 2.5, .38))
+    p += box("bench-leg-2", "bench", (3.7, 2.15, 0), (3.8, 2.5, .38))
+    p += box("divider", "divider", (5.9, 0, 0), (6.05, 1.5, 2.4))
+    p += [lamp("lamp-1", "lamp", (2.6, 2.7), 1.6, .5, z - .06), lamp("lamp-2", "lamp", (4.8, 2.7), 1.6, .5, z - .06)]
+    E = exposed(p, materials, {"lamp": (1, 1, 1)}, .40)
+    return Recipe("gallery-white", tuple(p), materials, {"lamp": (E, E, E)}, 2.2, pinhole(640, 480, 405), (640, 480),
+                  look((.5, .8, 1.6), (4.6, 3.1, 1.45)), about="An exhibition room, everything nearly white; the lamps' emittance is known")
+
+
+# Measured spectra seen by a camera: see `cornell_channels`; rounded.
+CORNELL = {"white": (.7376, .7366, .7433), "green": (.1683, .3231, .2051), "red": (.3781, .1020, .0666)}
+CORNELL_LAMP = (.9092, 1.0, .9934)
+
+
+def cornell_channels() -> dict:
+    """The Cornell box's measured spectra as three linear channels, with colour-science (only this function needs it).
+
+    A channel is what the Nikon D5100 (sensitivities by NPL, in colour-science) sees under the box's own lamp:
+    rho_c = sum(s_c e rho) / sum(s_c e) over 400, 404 ... 700 nm, s_c the sensitivity, e the emission (linear between its
+    four samples).  The camera is balanced for illuminant A, and the lamp's green is 1: lamp_c = sum(s_c e) / sum(s_c A)."""
+    import colour
+    data = ROOT / "data" / "cornell-box-measured"
+    shape = colour.SpectralShape(400, 700, 4)
+    paint = np.genfromtxt(data / "reflectance_400_700_4nm.csv", delimiter=",", names=True)
+    light = np.genfromtxt(data / "light_emission.csv", delimiter=",", names=True)
+    e = colour.SpectralDistribution(light["emission_relative"], light["nm"])
+    e = e.interpolate(shape, interpolator=colour.LinearInterpolator).values
+    s = colour.MSDS_CAMERA_SENSITIVITIES["Nikon 5100 (NPL)"].copy().align(shape).values
+    A = colour.SDS_ILLUMINANTS["A"].copy().align(shape).values
+    seen = s * e[:, None]
+    channels = {g: (seen * paint[g][:, None]).sum(0) / seen.sum(0) for g in CORNELL}
+    balanced = seen.sum(0) / (s * A[:, None]).sum(0)
+    return {**channels, "light": balanced / balanced[1]}
+
+
+def cornell() -> Recipe:
+    """The measured Cornell box, mm -> m and turned so that z is up: (x, y, z) -> (-x, z, y).
+
+    The lamp lies in the plane of the ceiling, and the ceiling is four quads around it.  The measured red wall is 3 mm from
+    planar: two triangles.  The open front is black."""
+    numbers = json.loads((ROOT / "data" / "cornell-box-measured" / "geometry_camera.json").read_text())
+    metres = lambda points: np.array([(-x, z, y) for x, y, z in np.asarray(points, float)]) / 1000
+
+    def towards(object, group, points, inside):
+        """The polygon, turned so that its front sees the point `inside`."""
+        n = np.cross(points[1] - points[0], points[2] - points[0])
+        return Polygon(object, group, points if n @ (inside - points[0]) > 0 else points[::-1])
+
+    centre = metres([[278, 274, 280]])[0]
+    wall = lambda name, group, key: towards(name, group, metres(numbers[key]), centre)
+    hole, outer = metres(numbers["light"]["quad"]), metres(numbers["ceiling"])
+    p = [wall("floor", "white", "floor"), wall("back", "white", "back"),
+         wall("right", "green", "right_green")]
+    red = metres(numbers["left_red"])
+    p += [towards("left", "red", red[[0, 1, 2]], centre), towards("left", "red", red[[0, 2, 3]], centre)]
+    # Around the hole: pair each corner of the lamp with the ceiling's nearest corner.
+    nearest = [int(np.argmin(np.linalg.norm(outer - h, axis=1))) for h in hole]
+    for i in range(4):
+        j = (i + 1) % 4
+        p.append(towards("ceiling", "white", np.array([outer[nearest[i]], outer[nearest[j]], hole[j], hole[i]]), centre))
+    for name in ("short_block", "tall_block"):
+        top = metres(numbers[name + "_top"])
+        turned = np.cross(top[1] - top[0], top[2] - top[0])[2] > 0
+        p += prism(name.replace("_", "-"), "white", (top if turned else top[::-1])[:, :2], 0, top[0, 2])
+    p.append(towards("light", "light", hole, centre))
+    # Their camera: film 0.025 at focal length 0.035, seen from 0.8 m before the box.
+    width = height = 400
+    eye = metres([numbers["camera"]["position"]])[0]
+    E = scaled(45.0, CORNELL_LAMP)
+    return Recipe("cornell", tuple(p), dict(CORNELL), {"light": E}, 2.2, pinhole(width, height, width * .035 / .025), (width, height),
+                  look(eye, eye + (0, 1, 0)), reference={"light": (.78, .78, .78)},
+                  about="The measured Cornell box; its lamp's emittance and reflectance are known")
+
+
+def flat_grey() -> Recipe:
+    """A small grey room, one channel."""
+    grey = {"wall": .62, "floor": .33, "ceiling": .78, "shelf": .48, "crate": .22, "pillar": .70, "plate": .12}
+    materials = {g: (v, v, v) for g, v in grey.items()}
+    x, y, z = 4.0, 3.2, 2.5
+    p = room(x, y, z)
+    p += box("shelf", "shelf", (2.0, 2.85, 1.05), (3.3, 3.2, 1.12))
+    p += box("shelf-2", "shelf", (2.0, 2.85, .5), (3.3, 3.2, .57))
+    p += box("crate", "crate", (2.4, 1.5, 0), (2.95, 2.0, .5), turn=.4)
+    p += prism("pillar", "pillar", regular((3.4, 1.0), .2, 8), 0, 2.5)
+    p += box("plate", "plate", (3.96, 1.6, .8), (4.0, 2.7, 1.6))
+    p += [lamp("lamp", "lamp", (2.2, 1.5), .8, .8, z - .04)]
+    E = exposed(p, materials, {"lamp": (1, 1, 1)}, .22)
+    return Recipe("flat-grey", tuple(p), materials, {"lamp": (E, E, E)}, 2.2, pinhole(480, 360, 300), (480, 360),
+                  look((.35, .45, 1.45), (3.2, 2.2, 1.2)), channels=1, about="A grey room, one channel; the lamp's emittance is known")
+
+
+def linear() -> Recipe:
+    """A loft with a sloping ceiling: a linear photograph in which the lamps are brighter than white."""
+    materials = {"wall": (.64, .62, .58), "brick": (.46, .24, .17), "floor": (.42, .34, .26), "ceiling": (.78, .77, .74), "beam": (.30, .20, .12),
+                 "bench": (.24, .38, .30), "chest": (.20, .26, .42), "door": (.62, .55, .40), "rug": (.48, .14, .16)}
+    x, y, low, high = 6.0, 3.4, 2.1, 3.1           # the ceiling rises from y = 0 to y = y
+    a, b, c, d = (0, 0), (x, 0), (x, y), (0, y)
+    P = lambda *points: np.array(points, float)
+    p = [Polygon("floor", "floor", P((*a, 0), (*b, 0), (*c, 0), (*d, 0))),
+         Polygon("ceiling", "ceiling", P((*a, low), (*d, high), (*c, high), (*b, low))),
+         Polygon("walls", "wall", P((*a, 0), (*a, low), (*b, low), (*b, 0))),
+         Polygon("walls", "brick", P((*b, 0), (*b, low), (*c, high), (*c, 0))),
+         Polygon("walls", "wall", P((*c, 0), (*c, high), (*d, high), (*d, 0))),
+         Polygon("walls", "wall", P((*d, 0), (*d, high), (*a, low), (*a, 0)))]
+    p += box("post-1", "beam", (2.3, 2.5, 0), (2.45, 2.65, 2.75))       # posts end below the ceiling, under a beam
+    p += box("post-2", "beam", (4.3, 2.5, 0), (4.45, 2.65, 2.6))
+    p += box("beam", "beam", (0, .9, 2.15), (6, 1.05, 2.3))
+    p += box("bench", "bench", (3.0, 3.0, 0), (4.6, 3.4, .45))
+    p += box("chest", "chest", (4.9, .3, 0), (5.5, 1.0, .55), turn=-.25)
+    p += box("door", "door", (5.96, 1.5, 0), (6.0, 2.4, 2.0))
+    p += box("rug", "rug", (2.7, 1.1, 0), (4.4, 2.2, .015))
+    p += [lamp("lamp-1", "lamp", (2.6, 1.9), .5, .3, 2.5), lamp("lamp-2", "spot", (4.8, 2.0), .35, .35, 2.5)]
+    E = exposed(p, materials, {"lamp": (1.0, .93, .80), "spot": (1.2, 1.2, 1.3)}, .20)
+    lamps = {"lamp": scaled(E, (1.0, .93, .80)), "spot": scaled(E, (1.2, 1.2, 1.3))}
+    return Recipe("linear", tuple(p), materials, lamps, None, pinhole(640, 480, 410), (640, 480), look((.35, .75, 1.6), (4.6, 2.1, 1.2)),
+                  about="A loft photographed linearly; two lamps of known emittance")
+
+
+_RECIPES = {"office": office, "office-1": lambda: office(1), "office-2": lambda: office(2), "office-3": lambda: office(3),
+            "gallery-white": gallery_white, "cornell": cornell, "flat-grey": flat_grey, "linear": linear}
+NAMES = tuple(_RECIPES)

@@ -1,0 +1,287 @@
+#!/usr/bin/env python3
+"""Make a synthetic scene: path-trace a recipe with Mitsuba 3 (independent of everything else here) and write its folder.
+
+    $ stages/synthesise.py --scene office --out data/office
+
+Not part of a scene's run: the small results are committed, and Mitsuba (`pip install mitsuba==3.9.1`) is only needed to
+make them again.  The same options give the same numbers (of one variant, up to the order of floating-point sums).
+
+reads   lib/recipes.py
+writes  OUT/            scene.yaml model.obj model.mtl left.png|left.exr left.posed.cameramodel origin.md
+        OUT/truth/      materials.json group.png legend.json noise.json
+
+The picture is the mean of `--passes` passes of `--spp` samples per pixel, each with its own seed; their spread is the
+noise.  Groups that stay above `--target` get further passes over the window that contains them, so every pixel is a mean
+of independent passes, some of more than others.
+"""
+import argparse
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", required=True, help="name of the recipe")
+    parser.add_argument("--out", required=True, type=Path, help="folder to write")
+    parser.add_argument("--spp", type=int, default=32, help="samples per pixel and pass")
+    parser.add_argument("--passes", type=int, default=12, help="independent passes (8 or more for a stated noise)")
+    parser.add_argument("--target", type=float, default=0.0005, help="relative noise wanted of a group's mean")
+    parser.add_argument("--more", type=int, default=200, help="at most so many further passes over a noisy group's window")
+    parser.add_argument("--seed", type=int, default=1, help="of the first pass; the others count on")
+    parser.add_argument("--variant", default="scalar_rgb", help="Mitsuba's; scalar_rgb needs nothing else, llvm_ad_rgb is faster")
+    parser.add_argument("--preview", type=Path, help="write only this picture (PNG), nothing else")
+    return parser
+
+
+def mitsuba_scene(mi, recipe, folder, window=None):
+    """The recipe as a Mitsuba scene: one mesh per group.  Linear image value = pi x radiance, so emittance E is radiance E / pi."""
+    import numpy as np
+    T = np.linalg.inv(recipe.T_cam_world)
+    W, H = recipe.size
+    f, cx, cy = recipe.K[0, 0], recipe.K[0, 2], recipe.K[1, 2]
+    film = {"type": "hdrfilm", "width": W, "height": H, "pixel_format": "rgb", "component_format": "float32", "rfilter": {"type": "box"}}
+    if window is not None:
+        x0, y0, x1, y1 = window
+        film |= {"crop_offset_x": x0, "crop_offset_y": y0, "crop_width": x1 - x0, "crop_height": y1 - y0}
+    scene = {
+        "type": "scene",
+        # Russian roulette is unbiased; 120 bounces leave less than 0.9^120 = 3e-6.
+        "integrator": {"type": "path", "max_depth": 120, "rr_depth": 6},
+        "sensor": {
+            "type": "perspective", "near_clip": 1e-3, "far_clip": 1e3, "fov_axis": "x",
+            "fov": float(2 * np.degrees(np.arctan(W / (2 * f)))),
+            # Mitsuba's camera has x left and y up; its film covers [0, W], ours [-0.5, W - 0.5].
+            "to_world": mi.ScalarTransform4f((T @ np.diag([-1.0, -1.0, 1.0, 1.0])).tolist()),
+            "principal_point_offset_x": float(0.5 - (cx + 0.5) / W), "principal_point_offset_y": float(0.5 - (cy + 0.5) / H),
+            "film": film, "sampler": {"type": "independent"},
+        },
+    }
+    for i, group in enumerate(recipe.groups):
+        path = folder / f"{i}.ply"
+        write_ply(path, [p for p in recipe.polygons if p.group == group])
+        bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [float(x) for x in recipe.rho_d(group)]}}
+        shape = {"type": "ply", "filename": str(path), "face_normals": True, "bsdf": {"type": "twosided", "bsdf": bsdf}}
+        if group in recipe.lamps:
+            radiance = [float(x) / np.pi for x in recipe.lamps[group]]
+            shape["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+        scene[f"group{i}"] = shape
+    return mi.load_dict(scene, optimize=False)       # optimised, identical materials would collapse into one
+
+
+def write_ply(path, polygons):
+    """Convex polygons as fans; corners are not shared between polygons, so that normals stay flat."""
+    vertices, faces = [], []
+    for polygon in polygons:
+        first = len(vertices)
+        vertices += [p for p in polygon.points]
+        faces += [(first, first + i, first + i + 1) for i in range(1, len(polygon.points) - 1)]
+    lines = ["ply", "format ascii 1.0", f"element vertex {len(vertices)}", "property float x", "property float y", "property float z",
+             f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
+    lines += [" ".join(f"{x:.9g}" for x in v) for v in vertices] + [" ".join(map(str, (3, *f))) for f in faces]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def group_picture(mi, scene, recipe):
+    """(H, W) index + 1 of the group at each pixel's centre, by one ray per pixel through our own camera; 0 = nothing."""
+    import numpy as np
+    W, H = recipe.size
+    T = np.linalg.inv(recipe.T_cam_world)
+    x, y = np.meshgrid(np.arange(W), np.arange(H))
+    v = np.stack([(x - recipe.K[0, 2]) / recipe.K[0, 0], (y - recipe.K[1, 2]) / recipe.K[1, 1], np.ones((H, W))], -1) @ T[:3, :3].T
+    v /= np.linalg.norm(v, axis=-1, keepdims=True)
+    shapes = scene.shapes()
+    label = np.array([int(s.id().removeprefix("group")) + 1 for s in shapes])
+    if mi.variant().startswith("scalar"):
+        index = {s.id(): k for s, k in zip(shapes, label)}
+        eye = mi.Point3f(*map(float, T[:3, 3]))
+        out = np.zeros(H * W, np.uint16)
+        for i, d in enumerate(v.reshape(-1, 3)):
+            hit = scene.ray_intersect_preliminary(mi.Ray3f(eye, mi.Vector3f(*map(float, d))))
+            if hit.is_valid():
+                out[i] = index[hit.shape.id()]
+        return out.reshape(H, W)
+    import drjit
+    d = v.reshape(-1, 3)
+    hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(*map(float, T[:3, 3])), mi.Vector3f(d[:, 0], d[:, 1], d[:, 2])))
+    out = np.zeros(H * W, np.uint16)
+    pointers = drjit.reinterpret_array(mi.UInt32, hit.shape).numpy()
+    valid = hit.is_valid().numpy()
+    for s, k in zip(shapes, label):
+        out[valid & (pointers == drjit.reinterpret_array(mi.UInt32, mi.ShapePtr(s)).numpy()[0])] = k
+    return out.reshape(H, W)
+
+
+class Passes:
+    """Independent passes over a picture, some over a window only: mean and variance per pixel, and group means per pass."""
+
+    def __init__(self, shape, labels, groups):
+        import numpy as np
+        self.labels, self.groups = labels, groups
+        self.sum, self.squares, self.count = np.zeros(shape), np.zeros(shape), np.zeros(shape[:2])
+        self.group_means = [[] for _ in range(groups)]
+
+    def add(self, image, window=None):
+        x0, y0, x1, y1 = window or (0, 0, self.labels.shape[1], self.labels.shape[0])
+        self.sum[y0:y1, x0:x1] += image
+        self.squares[y0:y1, x0:x1] += image ** 2
+        self.count[y0:y1, x0:x1] += 1
+        inside = self.labels[y0:y1, x0:x1]
+        for k in range(self.groups):
+            here = inside == k + 1
+            if here.any() and here.sum() == (self.labels == k + 1).sum():     # a window counts for the groups it wholly contains
+                self.group_means[k].append(image[here].mean(0))
+
+    def mean(self):
+        return self.sum / self.count[..., None]
+
+    def pixel_noise(self):
+        """Standard error of each pixel's mean, relative to it."""
+        import numpy as np
+        n, mean = self.count[..., None], self.mean()
+        variance = np.maximum(self.squares / n - mean ** 2, 0) * n / np.maximum(n - 1, 1)
+        return np.sqrt(variance / n) / np.maximum(mean, 1e-12)
+
+    def group_noise(self, k):
+        """Standard error of the group's mean over the passes, relative to it; per channel."""
+        import numpy as np
+        means = np.array(self.group_means[k])
+        return means.std(0, ddof=1) / np.sqrt(len(means)) / means.mean(0)
+
+
+def window_of(labels, k):
+    import numpy as np
+    y, x = np.nonzero(labels == k + 1)
+    return int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1
+
+
+def render(mi, recipe, folder, opt):
+    """All passes; stops at `--target` or after `--more` passes of a window."""
+    import numpy as np
+    full = mitsuba_scene(mi, recipe, folder)
+    labels = group_picture(mi, full, recipe)
+    passes = Passes((recipe.size[1], recipe.size[0], 3), labels, len(recipe.groups))
+    seed = opt.seed
+    for _ in range(opt.passes):
+        passes.add(np.array(mi.render(full, spp=opt.spp, seed=seed), dtype=float)[..., :3] * np.pi)
+        seed += 1
+    for k, group in enumerate(recipe.groups):
+        size = (labels == k + 1).sum()
+        if size < 500 or group in recipe.lamps or opt.passes < 2:
+            continue
+        window = window_of(labels, k)
+        scene, left = None, opt.more
+        while left > 0 and (noise := passes.group_noise(k).max()) > opt.target:
+            scene = scene or mitsuba_scene(mi, recipe, folder, window)
+            # so many passes are still needed, at the noise seen so far; a few at a time
+            need = len(passes.group_means[k]) * ((noise / opt.target) ** 2 - 1)
+            for _ in range(int(min(left, max(1, np.ceil(need * 0.5))))):
+                passes.add(np.array(mi.render(scene, spp=opt.spp, seed=seed), dtype=float)[..., :3] * np.pi, window)
+                seed += 1
+                left -= 1
+    return passes, labels, seed - opt.seed
+
+
+def displayed(recipe, B):
+    """Displayed value round(255 clip(B)^(1/gamma)): (H, W) or (H, W, 3) uint8."""
+    import numpy as np
+    B = B if recipe.channels == 3 else B.mean(-1)
+    return np.round(255 * np.clip(B, 0, 1) ** (1 / (recipe.gamma or 2.2))).astype(np.uint8)
+
+
+def write_png(path, image):
+    import cv2
+    cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def write_exr(path, B):
+    import numpy as np
+    import OpenEXR
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    channels = {name: np.ascontiguousarray(B[..., i], dtype=np.float16) for i, name in enumerate("RGB")}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(path))
+
+
+def main(opt):
+    import json
+    import tempfile
+    import numpy as np
+    import mitsuba as mi
+    from lib import recipes
+
+    mi.set_variant(opt.variant)
+    recipe = recipes.make(opt.scene)
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        passes, labels, number = render(mi, recipe, Path(folder), opt)
+    wall = time.perf_counter() - start
+    B = passes.mean()
+    if recipe.channels == 1:
+        B = np.repeat(B.mean(-1, keepdims=True), 3, -1)
+
+    pixels = {g: int((labels == k + 1).sum()) for k, g in enumerate(recipe.groups)}
+    lit = np.isin(labels, [k + 1 for k, g in enumerate(recipe.groups) if g not in recipe.lamps])
+    relative = passes.pixel_noise()[lit]
+    noise = {
+        "variant": opt.variant, "mitsuba": mi.__version__, "integrator": "path, max_depth 120, rr_depth 6", "sampler": "independent",
+        "spp": opt.spp * opt.passes, "spp_per_pass": opt.spp, "passes": opt.passes,
+        "spp_highest": int(opt.spp * passes.count.max()), "seeds": [opt.seed, opt.seed + number - 1],
+        "unit": "1", "meaning": "standard error of the mean over independent passes / mean, per channel; linear values",
+        "median_pixel": [float(x) for x in np.median(relative, 0)],
+        "groups": {g: {"pixels": pixels[g], "passes": len(passes.group_means[k]), "noise": [float(x) for x in passes.group_noise(k)]}
+                   for k, g in enumerate(recipe.groups) if pixels[g] >= 500 and g not in recipe.lamps and opt.passes > 1},
+    }
+    for g in recipe.groups:
+        here = labels == recipe.groups.index(g) + 1
+        if here.any():
+            print(f"{g:12s} {pixels[g]:7d} px  mean B", np.round(B[here].mean(0), 3), " display", np.round(displayed(recipe, B)[here].mean() / 255, 2),
+                  " clipped", int((B[here] >= 1).any(-1).sum()), " noise %", np.round(100 * np.max(noise["groups"].get(g, {}).get("noise", 0)), 3))
+    print(f"{recipe.name}: {wall:.0f} s, {number} passes, median pixel {100 * max(noise['median_pixel']):.2f} %")
+    if opt.preview:
+        write_png(opt.preview, displayed(recipe, B))
+        return
+
+    out, truth = opt.out, opt.out / "truth"
+    truth.mkdir(parents=True, exist_ok=True)
+    obj, mtl = recipe.model()
+    (out / "model.obj").write_text(obj)
+    (out / "model.mtl").write_text(mtl)
+    (out / "scene.yaml").write_text(recipe.scene_yaml())
+    (out / "left.posed.cameramodel").write_text(recipe.cameramodel())
+    (out / "origin.md").write_text(origin(recipe, opt, noise))
+    if recipe.gamma is None:
+        write_exr(out / "left.exr", B)
+    else:
+        write_png(out / "left.png", displayed(recipe, B))
+    write_png(truth / "group.png", labels)
+    for name, content in (("noise", noise), ("materials", true_materials(recipe, pixels)),
+                          ("legend", {"groups": list(recipe.groups), "objects": list(recipe.objects), "facets": []})):
+        (truth / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n")
+
+
+def true_materials(recipe, pixels):
+    """The true answer in the format of materials.json.  A group that is not a lamp is listed even if nothing shows it."""
+    groups = {g: {"kind": "diffuse", "rho_d": list(map(float, recipe.rho_d(g))), "rho_s": [0, 0, 0], "alpha": None, "tangent": None,
+                  "texture": None, "assumed": None, "sigma": None, "pixels": pixels[g], "error": None, "identified": True}
+              for g in recipe.groups if g not in recipe.lamps}
+    transfer = {"kind": "linear"} if recipe.gamma is None else {"kind": "gamma", "gamma": recipe.gamma, "sigma": None}
+    return {"status": "truth", "groups": groups, "lamps": {g: {"emittance": list(map(float, E)), "sigma": None} for g, E in recipe.lamps.items()},
+            "transfer": transfer, "scale": "lamps", "image": None}
+
+
+def origin(recipe, opt, noise):
+    made = f"stages/synthesise.py --scene {opt.scene} --out data/{opt.scene} --spp {opt.spp} --passes {opt.passes}" \
+           f" --target {opt.target:g} --more {opt.more} --seed {opt.seed} --variant {opt.variant}"
+    source = ("\nGeometry, paints and lamp: the numbers in data/cornell-box-measured, see its README and `recipes.cornell_channels`.\n"
+              if recipe.name == "cornell" else "")
+    return (f"# {recipe.name}\n\n{recipe.about}. Synthetic: made by\n\n    {made}\n\n"
+            f"from the recipe in lib/recipes.py, path-traced by Mitsuba {noise['mitsuba']} ({noise['variant']}; {noise['spp']} samples per pixel, up to\n"
+            f"{noise['spp_highest']} where a small group needed more). Noise: truth/noise.json. True reflectances and transfer: truth/materials.json.\n"
+            f"{source}\nLicence: as the project's.\n")
+
+
+if __name__ == "__main__":
+    main(options().parse_args())
