@@ -1,0 +1,96 @@
+# make, make <scene>, make <scene>/<stage>, make help.  The stages and their files: pipeline.yaml.
+# lib/plan.py walks back from a scene's goals and writes build/<scene>/plan.mk, plain Make; this file runs those.
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+MAKEFLAGS += --no-builtin-rules --no-print-directory
+.SUFFIXES:
+.DELETE_ON_ERROR:
+
+DATA ?= data
+BUILD ?= build
+PYTHON := .venv/bin/python
+export PYTHONDONTWRITEBYTECODE ?=
+
+TARGETS := all plan test bench scenes doctor help clean setup demo
+GOALS := $(or $(MAKECMDGOALS),demo)
+SCENES := $(shell cd "$(DATA)" 2>/dev/null && ls -d */scene.yaml 2>/dev/null | cut -d/ -f1)
+
+# What is asked for: scenes and stages of scenes; those of one scene are planned and run together.
+WISHES := $(sort $(filter-out $(TARGETS),$(GOALS)) $(if $(filter demo,$(GOALS)),office) $(if $(filter all,$(GOALS)),$(SCENES)))
+NAMES := $(sort $(foreach wish,$(WISHES),$(firstword $(subst /, ,$(wish)))))
+
+.PHONY: $(TARGETS) $(WISHES) $(NAMES:%=run-%)
+demo: run-office
+all: $(SCENES:%=run-%)
+
+define scene
+$(filter-out run-$(1),$(filter $(1) $(1)/%,$(WISHES))): run-$(1) ; @:
+run-$(1): setup
+	+@$$(PYTHON) -m lib.plan --data "$$(DATA)" --build "$$(BUILD)" --python $$(PYTHON) $(filter $(1) $(1)/%,$(WISHES))
+	+@$$(MAKE) -f "$$(BUILD)/$(1)/plan.mk"
+endef
+$(foreach name,$(NAMES),$(eval $(call scene,$(name))))
+
+plan: setup
+	@$(PYTHON) -m lib.plan --show --data "$(DATA)" --build "$(BUILD)"
+
+test: setup
+	$(PYTHON) -m pytest
+
+bench: setup
+	$(PYTHON) tests/bench.py
+
+doctor: setup
+	@$(PYTHON) -m lib.doctor
+
+# Synthetic scenes are committed; only to make them again is Mitsuba needed, which has an environment of its own.
+scenes: setup .venv-scenes/ready
+	.venv-scenes/bin/python stages/synthesise.py
+
+clean:
+	rm -rf -- "$(BUILD)"
+
+help:
+	@printf '%s\n' \
+	  'make                    set up, and run the demo scene: office' \
+	  'make <scene>            one scene of $(DATA)/, up to its goals' \
+	  'make <scene>/<stage>    one scene, up to and including one stage' \
+	  'make all                every scene;  make -k all goes on after a failure' \
+	  'make plan               the stages of every scene; what is left out, and why' \
+	  'make test               the tests' \
+	  'make bench              error against run time, as CSV and plots' \
+	  'make doctor             what is installed, and what to do about what is not' \
+	  'make scenes             make the synthetic scenes again (installs Mitsuba in .venv-scenes)' \
+	  'make clean              remove $(BUILD)/' \
+	  'DATA=folder BUILD=folder    other scenes, other outputs;  -n says what would run;  -j<n> runs side by side' \
+	  'scenes: $(SCENES)' \
+	  "stages: $$(sed -n 's/^\([a-z][a-z0-9_]*\):.*/\1/p' pipeline.yaml | tr '\n' ' ')"
+
+# ---- setting up: Debian's packages if this is Debian and we may, then .venv from the lock file ----
+DEBIAN := python3-venv libegl1 libgl1 libgl1-mesa-dri libgomp1 libx11-6
+
+setup: .venv/ready
+
+.venv/ready: requirements.lock
+	@missing=; \
+	if command -v dpkg-query >/dev/null; then \
+	  for p in $(DEBIAN); do dpkg-query -W -f '$${Status}' $$p 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$p"; done; \
+	fi; \
+	if [ -n "$$missing" ]; then \
+	  sudo=; [ "$$(id -u)" = 0 ] || sudo='sudo -n'; \
+	  echo "Debian packages:$$missing"; \
+	  if [ -z "$$sudo" ] || sudo -n true 2>/dev/null; then \
+	    $$sudo apt-get update -qq || true; \
+	    $$sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing \
+	      || echo "apt-get install$$missing: failed; going on without" >&2; \
+	  else echo "not root, and no sudo: going on without; apt-get install$$missing" >&2; fi; \
+	fi
+	@echo 'Python packages, from requirements.lock into .venv'
+	python3 -m venv .venv
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements.lock
+	@touch $@
+
+.venv-scenes/ready: requirements-scenes.lock
+	python3 -m venv .venv-scenes
+	.venv-scenes/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-scenes.lock
+	@touch $@

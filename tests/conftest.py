@@ -1,0 +1,47 @@
+"""What several tests share: running executables as a user would, and small scene folders."""
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def root():
+    """The project's root folder."""
+    return ROOT
+
+
+@pytest.fixture
+def run():
+    """run(*words, cwd=...) -> CompletedProcess with stdout and stderr as text; `stages/x.py` and `-m lib.x` run under this Python."""
+    def call(*words, cwd=ROOT, **options):
+        words = [os.fspath(w) if isinstance(w, os.PathLike) else str(w) for w in words]
+        if words[0].endswith(".py") or words[0] == "-m":
+            words = [sys.executable, *words]
+        environment = {k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES")}
+        return subprocess.run(words, cwd=cwd, capture_output=True, text=True, env=environment | options.pop("env", {}), timeout=options.pop("timeout", 300), **options)
+    return call
+
+
+@pytest.fixture
+def refuses(run):
+    """Runs a command that must refuse: exit 2, one line per problem on stderr, no traceback; returns the lines."""
+    def call(*words, **options):
+        result = run(*words, **options)
+        assert result.returncode == 2, result
+        assert "Traceback" not in result.stderr, result.stderr
+        return result.stderr.strip().splitlines()
+    return call
+
+
+@pytest.fixture
+def files_under():
+    """files_under(folder) -> {relative path: content}: what a refusal must leave as it was."""
+    def call(folder):
+        folder = Path(folder)
+        return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return call
