@@ -1,0 +1,456 @@
+"""Form factors (eq. 3.3): the fraction F[i, j] of the light leaving patch i that reaches patch j.
+
+Rows by rays: points spread over the patch and cosine-distributed directions together form one
+four-dimensional low-discrepancy set, so a row's sum is 1 in a closed scene before any normalisation and an
+error in one factor is compensated in its neighbour. Lamps are small and bright and therefore treated apart:
+the exact factor of the lamp's polygon from a point (Lambert's contour formula) times its visible share.
+
+A ray that starts inside a solid (it meets the solid's inner side first) is dropped, and the row is divided by
+the rays that remain: a wall behind a cabinet is not darkened by the inside of the cabinet (DESIGN 7, trap 3).
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+
+from lib.mesh import Mesh, Surface
+from lib.rays import OFFSET, shifts, sobol
+
+CHUNK = 1 << 20      # rays in flight
+ESCAPED, DROPPED, LOST = -1, -2, -3
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Sparse rows of F from rays: F[i, indices[k]] = count[k] / valid[i] for indptr[i] <= k < indptr[i + 1].
+
+    `half` counts the first half of the rays alone: the two halves differ by the sampling error.
+    """
+    indptr: np.ndarray       # (M + 1,) int64
+    indices: np.ndarray      # (nnz,) int32
+    count: np.ndarray        # (nnz,) float32
+    half: np.ndarray         # (nnz,) float32
+    valid: np.ndarray        # (M,) float32, rays that start outside solids
+    valid_half: np.ndarray   # (M,) float32
+    shot: np.ndarray         # (M,) int64
+    lost: np.ndarray         # (M,) float32, rays whose hit lies on no patch (counted as black)
+    columns: int
+
+    def matrix(self, half=None):
+        """(M, N) scipy.sparse CSR float32; half 0 or 1: from the first or the second half of the rays alone."""
+        from scipy.sparse import csr_array
+        count = self.count if half is None else self.half if half == 0 else self.count - self.half
+        valid = self.valid if half is None else self.valid_half if half == 0 else self.valid - self.valid_half
+        scale = np.repeat(1 / np.maximum(valid, 1), np.diff(self.indptr))
+        return csr_array(((count * scale).astype(np.float32), self.indices, self.indptr), shape=(len(self.valid), self.columns))
+
+    @property
+    def row_sums(self):
+        """(M,) before any normalisation: 1 in a closed scene, 0 for a patch wholly inside a solid."""
+        total = np.zeros(len(self.valid))
+        np.add.at(total, np.repeat(np.arange(len(self.valid)), np.diff(self.indptr)), self.count)
+        return total / np.maximum(self.valid, 1)
+
+    @property
+    def exposed(self):
+        """(M,) share of the patch that lies outside solids."""
+        return self.valid / np.maximum(self.shot, 1)
+
+
+# -- ray generation
+
+@njit(cache=True, inline="always")
+def _cosine(u, v, n, x, y, out, k):
+    r = np.sqrt(u)
+    phi = 2 * np.pi * v
+    a, b, c = r * np.cos(phi), r * np.sin(phi), np.sqrt(max(0.0, 1 - u))
+    for d in range(3):
+        out[k, 3 + d] = a * x[d] + b * y[d] + c * n[d]
+
+
+@njit(cache=True, inline="always")
+def _in_patch(i, u, v, tri_start, tri_uv, tri_cdf):
+    """A point of patch i, in facet coordinates, uniform for uniform (u, v)."""
+    a, b = tri_start[i], tri_start[i + 1]
+    s = a
+    while s < b - 1 and tri_cdf[s] <= u:
+        s += 1
+    low = tri_cdf[s - 1] if s > a else 0.0
+    u = min(max((u - low) / (tri_cdf[s] - low), 0.0), 1.0)
+    r = np.sqrt(u)
+    w0, w1, w2 = 1 - r, r * (1 - v), r * v
+    t = tri_uv[s]
+    return w0 * t[0, 0] + w1 * t[1, 0] + w2 * t[2, 0], w0 * t[0, 1] + w1 * t[1, 1] + w2 * t[2, 1]
+
+
+@njit(cache=True, parallel=True)
+def _patch_rays(first, last, n, points, shift, side, tri_start, tri_uv, tri_cdf, origin, axes, normal):
+    out = np.empty(((last - first) * n, 6), np.float32)
+    for i in prange(first, last):
+        f = side[i] >> 1
+        sign = 1.0 - 2.0 * (side[i] & 1)
+        nrm = normal[f] * sign
+        h0, h1, h2, h3 = shift[i]
+        for k in range(n):
+            u, v = _in_patch(i, ((points[k, 0] ^ h0) + 0.5) / 4294967296.0, ((points[k, 1] ^ h1) + 0.5) / 4294967296.0,
+                             tri_start, tri_uv, tri_cdf)
+            row = (i - first) * n + k
+            for d in range(3):
+                out[row, d] = origin[f, d] + u * axes[f, 0, d] + v * axes[f, 1, d] + OFFSET * nrm[d]
+            _cosine(((points[k, 2] ^ h2) + 0.5) / 4294967296.0, ((points[k, 3] ^ h3) + 0.5) / 4294967296.0,
+                    nrm, axes[f, 0], axes[f, 1], out, row)
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _point_rays(ray_start, first, last, points, shift, point_start, p, side, axes, normal):
+    """Rays of the elements first..last; element i owns the points p[point_start[i]:point_start[i + 1]] (M, 3)."""
+    base = ray_start[first]
+    out = np.empty((ray_start[last] - base, 6), np.float32)
+    for i in prange(first, last):
+        f = side[i] >> 1
+        nrm = normal[f] * (1.0 - 2.0 * (side[i] & 1))
+        h0, _, h2, h3 = shift[i]
+        m = point_start[i + 1] - point_start[i]
+        for k in range(ray_start[i + 1] - ray_start[i]):
+            q = point_start[i] + min(m - 1, int(((points[k, 0] ^ h0) + 0.5) / 4294967296.0 * m))
+            row = ray_start[i] - base + k
+            for d in range(3):
+                out[row, d] = p[q, d] + OFFSET * nrm[d]
+            _cosine(((points[k, 2] ^ h2) + 0.5) / 4294967296.0, ((points[k, 3] ^ h3) + 0.5) / 4294967296.0,
+                    nrm, axes[f, 0], axes[f, 1], out, row)
+    return out
+
+
+# -- binning
+
+@njit(cache=True, parallel=True)
+def _locate(rays, triangle, distance, facet, normal, origin, axes, size, inside, table_start, table_shape, leaf):
+    """The patch each ray arrives at, (n,) int32, or ESCAPED, DROPPED, LOST."""
+    n = len(rays)
+    out = np.empty(n, np.int32)
+    for k in prange(n):
+        if triangle[k] < 0:
+            out[k] = ESCAPED
+            continue
+        f = facet[triangle[k]]
+        along = rays[k, 3] * normal[f, 0] + rays[k, 4] * normal[f, 1] + rays[k, 5] * normal[f, 2]
+        s = 2 * f + (1 if along > 0 else 0)
+        if inside[s]:
+            out[k] = DROPPED
+            continue
+        if table_start[s] < 0:
+            out[k] = LOST
+            continue
+        u = 0.0
+        v = 0.0
+        for d in range(3):
+            x = rays[k, d] + distance[k] * rays[k, 3 + d] - origin[f, d]
+            u += x * axes[f, 0, d]
+            v += x * axes[f, 1, d]
+        nu, nv = table_shape[s, 0], table_shape[s, 1]
+        a = min(max(int(u / size[f, 0] * nu), 0), nu - 1)
+        b = min(max(int(v / size[f, 1] * nv), 0), nv - 1)
+        patch = leaf[table_start[s] + a * nv + b]
+        if patch < 0:                       # beyond a slanted border by rounding: the next cell inside
+            for da in range(-1, 2):
+                for db in range(-1, 2):
+                    if patch < 0 and 0 <= a + da < nu and 0 <= b + db < nv:
+                        patch = leaf[table_start[s] + (a + da) * nv + b + db]
+        out[k] = patch if patch >= 0 else LOST
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _compress(hit, ray_start, first, last):
+    """Count equal hits per element: entries per row, valid, valid in the first half, lost; hit is sorted in place by (patch, half)."""
+    m = last - first
+    base = ray_start[first]
+    entries = np.zeros(m, np.int64)
+    valid = np.zeros(m, np.float32)
+    valid_half = np.zeros(m, np.float32)
+    lost = np.zeros(m, np.float32)
+    keys = np.empty(len(hit), np.int64)
+    for i in prange(m):
+        a, b = ray_start[first + i] - base, ray_start[first + i + 1] - base
+        middle = a + (b - a + 1) // 2
+        for k in range(a, b):
+            h = hit[k]
+            keys[k] = 2 * np.int64(h) + (1 if k >= middle else 0)
+            if h != DROPPED:
+                valid[i] += 1
+                if k < middle:
+                    valid_half[i] += 1
+            if h == LOST:
+                lost[i] += 1
+        keys[a:b].sort()
+        previous = np.int64(-1)
+        for k in range(a, b):
+            patch = keys[k] >> 1
+            if patch >= 0 and patch != previous:
+                entries[i] += 1
+                previous = patch
+    return keys, entries, valid, valid_half, lost
+
+
+@njit(cache=True, parallel=True)
+def _fill(keys, ray_start, first, last, indptr):
+    base = ray_start[first]
+    n = indptr[-1]
+    indices = np.empty(n, np.int32)
+    count = np.zeros(n, np.float32)
+    half = np.zeros(n, np.float32)
+    for i in prange(last - first):
+        a, b = ray_start[first + i] - base, ray_start[first + i + 1] - base
+        out = indptr[i] - 1
+        previous = np.int64(-1)
+        for k in range(a, b):
+            patch = keys[k] >> 1
+            if patch < 0:
+                continue
+            if patch != previous:
+                out += 1
+                indices[out] = patch
+                previous = patch
+            count[out] += 1
+            if keys[k] & 1 == 0:
+                half[out] += 1
+    return indices, count, half
+
+
+def _trace(surface: Surface, mesh: Mesh, rays):
+    triangle, distance = surface.caster.closest(rays)
+    return _locate(rays, triangle, distance, surface.facet, surface.normal, surface.origin, surface.axes, surface.size,
+                   surface.inside, mesh.table_start, mesh.table_shape, mesh.leaf), distance
+
+
+def _rows(surface, mesh, ray_start, make, progress=None) -> Rows:
+    """Rows of all elements, in chunks: make(first, last) -> rays of the elements first..last-1."""
+    m = len(ray_start) - 1
+    parts = []
+    first = 0
+    while first < m:
+        last = max(first + 1, int(np.searchsorted(ray_start, ray_start[first] + CHUNK, "right")) - 1)
+        hit, _ = _trace(surface, mesh, make(first, last))
+        keys, entries, valid, valid_half, lost = _compress(hit, ray_start, first, last)
+        indptr = np.concatenate([[0], np.cumsum(entries)])
+        parts.append((entries, valid, valid_half, lost, *_fill(keys, ray_start, first, last, indptr)))
+        if progress is not None:
+            progress(last / m)
+        first = last
+    entries, valid, valid_half, lost, indices, count, half = (np.concatenate(column) for column in zip(*parts))
+    return Rows(np.concatenate([[0], np.cumsum(entries)]), indices, count, half, valid, valid_half,
+                np.diff(ray_start), lost, len(mesh))
+
+
+def rays(surface: Surface, mesh: Mesh, *, n_rays, seed=0, progress=None) -> Rows:
+    """F between all patches from `n_rays` rays per patch (a power of two spreads best). Error about 0.5 / n_rays^0.75
+    of a row's irradiance, measured by `make bench`."""
+    points, shift = sobol(n_rays), shifts(len(mesh), n_rays, seed)
+    ray_start = np.arange(len(mesh) + 1, dtype=np.int64) * n_rays
+    return _rows(surface, mesh, ray_start, lambda a, b: _patch_rays(
+        a, b, n_rays, points, shift, mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf,
+        surface.origin, surface.axes, surface.normal), progress)
+
+
+def gather(surface: Surface, mesh: Mesh, points, point_start, side, n_rays, *, seed=0, progress=None) -> Rows:
+    """F from sets of points (pixels) to all patches.
+
+    points : (M, 3) local;  point_start : (K + 1,) the points of each set;  side : (K,) side of the facet they lie on
+    n_rays : (K,) rays of each set, spread over its points
+    """
+    ray_start = np.concatenate([[0], np.cumsum(n_rays)]).astype(np.int64)
+    most = int(np.max(n_rays, initial=1))
+    sequence, shift = sobol(most), shifts(len(side), most, seed)
+    return _rows(surface, mesh, ray_start, lambda a, b: _point_rays(
+        ray_start, a, b, sequence, shift, np.asarray(point_start, np.int64), points,
+        np.asarray(side, np.int32), surface.axes, surface.normal), progress)
+
+
+def probe(surface: Surface, mesh: Mesh, *, n_rays, seed=0):
+    """What each patch sees: share of its rays that meet the lit side of something, (N,), and the harmonic mean
+    distance to it, (N,) local (inf where nothing is seen)."""
+    points, shift = sobol(n_rays), shifts(len(mesh), n_rays, seed + 1000)
+    seen = np.zeros(len(mesh))
+    inverse = np.zeros(len(mesh))
+    step = max(1, CHUNK // n_rays)
+    for a in range(0, len(mesh), step):
+        b = min(len(mesh), a + step)
+        r = _patch_rays(a, b, n_rays, points, shift, mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf,
+                        surface.origin, surface.axes, surface.normal)
+        triangle, distance = surface.caster.closest(r)
+        f = surface.facet[triangle]
+        back = np.einsum("ij,ij->i", r[:, 3:], surface.normal[f]) > 0
+        good = (triangle >= 0) & ~surface.inside[2 * f + back]
+        seen[a:b] = good.reshape(-1, n_rays).mean(axis=1)
+        inverse[a:b] = np.where(good, 1 / np.maximum(distance, OFFSET), 0).reshape(-1, n_rays).sum(axis=1)
+        inverse[a:b] /= np.maximum(good.reshape(-1, n_rays).sum(axis=1), 1)
+    return seen, np.where(inverse > 0, 1 / np.maximum(inverse, 1e-30), np.inf)
+
+
+# -- lamps
+
+@dataclass(frozen=True)
+class Emitter:
+    """Triangles of one lamp that are sampled together."""
+    lamp: int                # index into the lamp groups
+    corners: np.ndarray      # (K, 3, 3) local
+    normal: np.ndarray       # (K, 3) front
+    cdf: np.ndarray          # (K,) cumulated share of the area
+
+
+def emitters(surface: Surface, lamps) -> list[Emitter]:
+    """The lamps' facets: each by itself while they are few, together where a lamp is a mesh of many.
+
+    lamps : names of the groups that emit, in the order of the columns of the factors
+    """
+    result = []
+    area = np.linalg.norm(np.cross(surface.corners[:, 1] - surface.corners[:, 0], surface.corners[:, 2] - surface.corners[:, 0]), axis=1)
+    for lamp, name in enumerate(lamps):
+        facets = np.flatnonzero(surface.group == surface.groups.index(name))
+        sets = [[f] for f in facets] if len(facets) <= 8 else [facets]
+        for chosen in sets:
+            t = np.flatnonzero(np.isin(surface.facet, chosen))
+            result.append(Emitter(lamp, surface.corners[t], surface.normal[surface.facet[t]], np.cumsum(area[t]) / area[t].sum()))
+    return result
+
+
+@njit(cache=True)
+def polygon_factor(p, n, corners, m, work):
+    """Form factor from the element at p with normal n to a polygon, everything in front of it visible.
+
+    Lambert's contour formula, the polygon first clipped at the element's horizon. corners : (>= m, 3)
+    """
+    k = 0
+    for i in range(m):
+        a = corners[i] - p
+        b = corners[(i + 1) % m] - p
+        da, db = np.dot(a, n), np.dot(b, n)
+        if da >= 0:
+            work[k] = a
+            k += 1
+        if (da > 0 and db < 0) or (da < 0 and db > 0):
+            work[k] = a + (b - a) * (da / (da - db))
+            k += 1
+    total = 0.0
+    for i in range(k):
+        a = work[i]
+        b = work[(i + 1) % k]
+        c0 = a[1] * b[2] - a[2] * b[1]
+        c1 = a[2] * b[0] - a[0] * b[2]
+        c2 = a[0] * b[1] - a[1] * b[0]
+        length = np.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
+        if length > 0:
+            total += np.arctan2(length, np.dot(a, b)) * (c0 * n[0] + c1 * n[1] + c2 * n[2]) / length
+    return total / (2 * np.pi)
+
+
+@njit(cache=True, parallel=True)
+def _factors(p, normal_idx, normals, corners, front):
+    """Sum over triangles of the factor from each point, of those whose front faces it."""
+    out = np.zeros(len(p))
+    for i in prange(len(p)):
+        work = np.empty((8, 3))
+        n = normals[normal_idx[i]]
+        for t in range(len(corners)):
+            if np.dot(p[i] - corners[t, 0], front[t]) > 1e-12:
+                out[i] += abs(polygon_factor(p[i], n, corners[t], 3, work))
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _shadow_rays(p, normal_idx, normals, which, n, points, shift, corners, front, cdf):
+    rays = np.empty((len(which) * n, 6), np.float32)
+    weight = np.empty(len(which) * n, np.float32)
+    for j in prange(len(which)):
+        i = which[j]
+        nrm = normals[normal_idx[i]]
+        h0, h1 = shift[j, 0], shift[j, 1]
+        for k in range(n):
+            u = ((points[k, 0] ^ h0) + 0.5) / 4294967296.0
+            v = ((points[k, 1] ^ h1) + 0.5) / 4294967296.0
+            t = 0
+            while t < len(cdf) - 1 and cdf[t] <= u:
+                t += 1
+            low = cdf[t - 1] if t > 0 else 0.0
+            r = np.sqrt(min(max((u - low) / (cdf[t] - low), 0.0), 1.0))
+            row = j * n + k
+            squared, cos_here, cos_there = 0.0, 0.0, 0.0
+            for d in range(3):
+                target = (1 - r) * corners[t, 0, d] + r * (1 - v) * corners[t, 1, d] + r * v * corners[t, 2, d]
+                start = p[i, d] + OFFSET * nrm[d]
+                x = target + OFFSET * front[t, d] - start
+                rays[row, d] = start
+                rays[row, 3 + d] = x
+                squared += x * x
+                cos_here += x * nrm[d]
+                cos_there -= x * front[t, d]
+            weight[row] = max(cos_here, 0.0) * max(cos_there, 0.0) / max(squared * squared, 1e-30)
+    return rays, weight
+
+
+def direct(surface: Surface, lamps, points, normals, normal_idx, n_lamps, *, n_samples, seed=0) -> np.ndarray:
+    """Factor from each point to each lamp, shadows included, (M, n_lamps).
+
+    The exact unoccluded factor times the visible share, estimated from `n_samples` points of the lamp weighted
+    with the light they would send; without an occluder in the scene no ray is cast and the result is exact.
+
+    points : (M, 3) local, on their facets;  normals : (K, 3);  normal_idx : (M,) the normal of each point
+    """
+    factor = np.zeros((len(points), n_lamps))
+    sequence = sobol(n_samples)
+    for number, lamp in enumerate(lamps):
+        share = _factors(points, normal_idx, normals, lamp.corners, lamp.normal)
+        if surface.n_occluders:
+            lit = np.flatnonzero(share > 0)
+            for a in range(0, len(lit), max(1, CHUNK // n_samples)):
+                which = lit[a:a + max(1, CHUNK // n_samples)]
+                shift = shifts(len(which), n_samples, seed + 31 * number)
+                r, weight = _shadow_rays(points, normal_idx, normals, which, n_samples, sequence, shift, lamp.corners, lamp.normal, lamp.cdf)
+                visible = ~surface.shadows.occluded(r, 1 - 1e-4)
+                total = weight.reshape(-1, n_samples).sum(axis=1)
+                seen = (weight * visible).reshape(-1, n_samples).sum(axis=1)
+                share[which] *= np.where(total > 0, seen / np.maximum(total, 1e-30), 0)
+        factor[:, lamp.lamp] += share
+    return factor
+
+
+@njit(cache=True, parallel=True)
+def _patch_points(n, points, shift, side, tri_start, tri_uv, tri_cdf, origin, axes):
+    out = np.empty((len(side) * n, 3))
+    for i in prange(len(side)):
+        f = side[i] >> 1
+        h0, h1 = shift[i, 0], shift[i, 1]
+        for k in range(n):
+            u, v = _in_patch(i, ((points[k, 0] ^ h0) + 0.5) / 4294967296.0, ((points[k, 1] ^ h1) + 0.5) / 4294967296.0,
+                             tri_start, tri_uv, tri_cdf)
+            for d in range(3):
+                out[i * n + k, d] = origin[f, d] + u * axes[f, 0, d] + v * axes[f, 1, d]
+    return out
+
+
+def side_normals(surface) -> np.ndarray:
+    """(2 F, 3): the normal of each side."""
+    return np.stack([surface.normal, -surface.normal], axis=1).reshape(-1, 3)
+
+
+def patch_direct(surface: Surface, mesh: Mesh, lamps, n_lamps, *, n_points, n_samples=4, seed=0) -> np.ndarray:
+    """Factor of each point of each patch to each lamp, (N, n_points, n_lamps)."""
+    p = _patch_points(n_points, sobol(n_points), shifts(len(mesh), n_points, seed + 2000), mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf,
+                      surface.origin, surface.axes)
+    factor = direct(surface, lamps, p, side_normals(surface), np.repeat(mesh.side, n_points), n_lamps, n_samples=n_samples, seed=seed)
+    return factor.reshape(len(mesh), n_points, n_lamps)
+
+
+def direct_spread(surface, mesh, lamps, *, n_points, seed=0):
+    """Mean and standard deviation over each patch of the light of all lamps at equal power, (N,) each."""
+    n_lamps = 1 + max(lamp.lamp for lamp in lamps)
+    light = patch_direct(surface, mesh, lamps, n_lamps, n_points=n_points, seed=seed).sum(axis=2)
+    return light.mean(axis=1), light.std(axis=1)
+
+
+def mean_direct(light, area):
+    """Area mean of the direct light: the yardstick of the subdivision."""
+    return float(np.sum(light * area) / np.sum(area))
