@@ -19,7 +19,10 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from lib import stage
+
+MAX_DEPTH = 120
 
 
 def options():
@@ -30,13 +33,14 @@ def options():
     parser.add_argument("--passes", type=int, default=12, help="independent passes (8 or more for a stated noise)")
     parser.add_argument("--target", type=float, default=0.0005, help="relative noise wanted of a group's mean")
     parser.add_argument("--more", type=int, default=200, help="at most so many further passes over a noisy group's window")
+    parser.add_argument("--roulette", type=int, default=6, help="bounces before Russian roulette; 16 is twice as good in a white room")
     parser.add_argument("--seed", type=int, default=1, help="of the first pass; the others count on")
     parser.add_argument("--variant", default="scalar_rgb", help="Mitsuba's; scalar_rgb needs nothing else, llvm_ad_rgb is faster")
     parser.add_argument("--preview", type=Path, help="write only this picture (PNG), nothing else")
     return parser
 
 
-def mitsuba_scene(mi, recipe, folder, window=None):
+def mitsuba_scene(mi, recipe, folder, roulette, window=None):
     """The recipe as a Mitsuba scene: one mesh per group.  Linear image value = pi x radiance, so emittance E is radiance E / pi."""
     import numpy as np
     T = np.linalg.inv(recipe.T_cam_world)
@@ -48,8 +52,8 @@ def mitsuba_scene(mi, recipe, folder, window=None):
         film |= {"crop_offset_x": x0, "crop_offset_y": y0, "crop_width": x1 - x0, "crop_height": y1 - y0}
     scene = {
         "type": "scene",
-        # Russian roulette is unbiased; 120 bounces leave less than 0.9^120 = 3e-6.
-        "integrator": {"type": "path", "max_depth": 120, "rr_depth": 6},
+        # Russian roulette is unbiased; what lies beyond 120 bounces is less than 0.9^120 = 3e-6.
+        "integrator": {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": roulette},
         "sensor": {
             "type": "perspective", "near_clip": 1e-3, "far_clip": 1e3, "fov_axis": "x",
             "fov": float(2 * np.degrees(np.arctan(W / (2 * f)))),
@@ -160,7 +164,7 @@ def window_of(labels, k):
 def render(mi, recipe, folder, opt):
     """All passes; stops at `--target` or after `--more` passes of a window."""
     import numpy as np
-    full = mitsuba_scene(mi, recipe, folder)
+    full = mitsuba_scene(mi, recipe, folder, opt.roulette)
     labels = group_picture(mi, full, recipe)
     passes = Passes((recipe.size[1], recipe.size[0], 3), labels, len(recipe.groups))
     seed = opt.seed
@@ -169,12 +173,12 @@ def render(mi, recipe, folder, opt):
         seed += 1
     for k, group in enumerate(recipe.groups):
         size = (labels == k + 1).sum()
-        if size < 500 or group in recipe.lamps or opt.passes < 2:
+        if size < 500 or group in recipe.lamps:
             continue
         window = window_of(labels, k)
         scene, left = None, opt.more
         while left > 0 and (noise := passes.group_noise(k).max()) > opt.target:
-            scene = scene or mitsuba_scene(mi, recipe, folder, window)
+            scene = scene or mitsuba_scene(mi, recipe, folder, opt.roulette, window)
             # so many passes are still needed, at the noise seen so far; a few at a time
             need = len(passes.group_means[k]) * ((noise / opt.target) ** 2 - 1)
             for _ in range(int(min(left, max(1, np.ceil(need * 0.5))))):
@@ -191,12 +195,8 @@ def displayed(recipe, B):
     return np.round(255 * np.clip(B, 0, 1) ** (1 / (recipe.gamma or 2.2))).astype(np.uint8)
 
 
-def write_png(path, image):
-    import cv2
-    cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-
-
-def write_exr(path, B):
+def write_half(path, B):
+    """Half floats, unlike lib/image's: a committed photograph should be small, and 0.05 % is far below its noise."""
     import numpy as np
     import OpenEXR
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -209,8 +209,16 @@ def main(opt):
     import json
     import tempfile
     import numpy as np
-    import mitsuba as mi
-    from lib import recipes
+    from lib import image, recipes
+
+    if opt.scene not in recipes.NAMES:
+        raise stage.BadInput(f"--scene: {opt.scene!r} is not one of {', '.join(recipes.NAMES)}")
+    if opt.passes < 2:
+        raise stage.BadInput(f"--passes: {opt.passes}: the noise needs at least 2")
+    try:
+        import mitsuba as mi
+    except ImportError:
+        raise stage.BadInput("mitsuba: not installed: pip install mitsuba==3.9.1 (only needed to make scenes again)") from None
 
     mi.set_variant(opt.variant)
     recipe = recipes.make(opt.scene)
@@ -226,13 +234,13 @@ def main(opt):
     lit = np.isin(labels, [k + 1 for k, g in enumerate(recipe.groups) if g not in recipe.lamps])
     relative = passes.pixel_noise()[lit]
     noise = {
-        "variant": opt.variant, "mitsuba": mi.__version__, "integrator": "path, max_depth 120, rr_depth 6", "sampler": "independent",
+        "variant": opt.variant, "mitsuba": mi.__version__, "integrator": f"path, max_depth {MAX_DEPTH}, rr_depth {opt.roulette}", "sampler": "independent",
         "spp": opt.spp * opt.passes, "spp_per_pass": opt.spp, "passes": opt.passes,
         "spp_highest": int(opt.spp * passes.count.max()), "seeds": [opt.seed, opt.seed + number - 1],
         "unit": "1", "meaning": "standard error of the mean over independent passes / mean, per channel; linear values",
         "median_pixel": [float(x) for x in np.median(relative, 0)],
         "groups": {g: {"pixels": pixels[g], "passes": len(passes.group_means[k]), "noise": [float(x) for x in passes.group_noise(k)]}
-                   for k, g in enumerate(recipe.groups) if pixels[g] >= 500 and g not in recipe.lamps and opt.passes > 1},
+                   for k, g in enumerate(recipe.groups) if pixels[g] >= 500 and g not in recipe.lamps},
     }
     for g in recipe.groups:
         here = labels == recipe.groups.index(g) + 1
@@ -241,7 +249,7 @@ def main(opt):
                   " clipped", int((B[here] >= 1).any(-1).sum()), " noise %", np.round(100 * np.max(noise["groups"].get(g, {}).get("noise", 0)), 3))
     print(f"{recipe.name}: {wall:.0f} s, {number} passes, median pixel {100 * max(noise['median_pixel']):.2f} %")
     if opt.preview:
-        write_png(opt.preview, displayed(recipe, B))
+        image.write_png8(opt.preview, displayed(recipe, B))
         return
 
     out, truth = opt.out, opt.out / "truth"
@@ -253,10 +261,10 @@ def main(opt):
     (out / "left.posed.cameramodel").write_text(recipe.cameramodel())
     (out / "origin.md").write_text(origin(recipe, opt, noise))
     if recipe.gamma is None:
-        write_exr(out / "left.exr", B)
+        write_half(out / "left.exr", B)
     else:
-        write_png(out / "left.png", displayed(recipe, B))
-    write_png(truth / "group.png", labels)
+        image.write_png8(out / "left.png", displayed(recipe, B))
+    image.write_png16(truth / "group.png", labels)
     for name, content in (("noise", noise), ("materials", true_materials(recipe, pixels)),
                           ("legend", {"groups": list(recipe.groups), "objects": list(recipe.objects), "facets": []})):
         (truth / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n")
@@ -274,7 +282,7 @@ def true_materials(recipe, pixels):
 
 def origin(recipe, opt, noise):
     made = f"stages/synthesise.py --scene {opt.scene} --out data/{opt.scene} --spp {opt.spp} --passes {opt.passes}" \
-           f" --target {opt.target:g} --more {opt.more} --seed {opt.seed} --variant {opt.variant}"
+           f" --target {opt.target:g} --more {opt.more} --roulette {opt.roulette} --seed {opt.seed} --variant {opt.variant}"
     source = ("\nGeometry, paints and lamp: the numbers in data/cornell-box-measured, see its README and `recipes.cornell_channels`.\n"
               if recipe.name == "cornell" else "")
     return (f"# {recipe.name}\n\n{recipe.about}. Synthetic: made by\n\n    {made}\n\n"
@@ -284,4 +292,4 @@ def origin(recipe, opt, noise):
 
 
 if __name__ == "__main__":
-    main(options().parse_args())
+    stage.run(main, options())
