@@ -328,7 +328,7 @@ def coverage(model, camera, facet, method="opengl"):
                 pixels.append((y + y0) * W + x + x0)
                 samples.append(block.transpose(0, 2, 1, 3)[y, x].reshape(-1, n * n))
     elif len(view.triangle):
-        near = boundary(facet) | (visible_edges(model, camera, facet_depth(model, camera, facet)) > 0)
+        near = boundary(facet) | (visible_edges(model, camera, facet, facet_depth(model, camera, facet)))
         at = np.flatnonzero(near)
         offsets = (np.arange(n) + 0.5) / n - 0.5
         sub = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
@@ -392,10 +392,10 @@ def facet_edges(model):
     return ends[order[~inner]]
 
 
-def visible_edges(model, camera, depth):
+def visible_edges(model, camera, facet, depth):
     """The hidden-surface buffer (figure 4.7, middle): (H, W) bool, the pixels that a visible edge of a facet crosses.
 
-    depth : (H, W) m, 0 for nothing. Edges are followed in steps of a quarter of a pixel and compared with the
+    facet, depth : (H, W), the index buffer. Edges are followed in steps of a quarter of a pixel and compared with the
     furthest depth among the pixel and its neighbours; slivers thinner than a pixel leave their edges too.
     """
     import cv2
@@ -431,12 +431,32 @@ def visible_edges(model, camera, depth):
     inverse = w[0][owner] * (1 - t) + w[1][owner] * t
     x = np.clip(np.floor(q[:, 0] + 0.5).astype(int), 0, W - 1)
     y = np.clip(np.floor(q[:, 1] + 0.5).astype(int), 0, H - 1)
-    behind = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0)
-    behind = np.pad(behind, 1, mode="reflect", reflect_type="odd") if min(H, W) > 1 else np.pad(behind, 1, mode="edge")
-    furthest = cv2.erode(behind, np.ones((3, 3), np.uint8))[1:-1, 1:-1]       # planes continue beyond the picture's rim
-    seen = inverse >= furthest[y, x] * (1 - 1e-4)
+    seen = inverse >= _furthest(facet, depth)[y, x] * (1 - 1e-6)
     edges[y[seen], x[seen]] = True
     return edges
+
+
+def _furthest(facet, depth):
+    """(H, W): the least 1/z that the facets at a pixel and its eight neighbours reach within a pixel of their centres."""
+    import cv2
+
+    b = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0)
+    least = b.copy()
+    for axis in (0, 1):
+        here, there = _shifted(axis, 1)
+        step = np.where(facet[here] == facet[there], np.abs(b[here] - b[there]), 0)
+        slope = np.zeros_like(b)
+        slope[here] = step
+        np.maximum(slope[there], step, out=slope[there])
+        least -= slope
+    return cv2.erode(least, np.ones((3, 3), np.uint8))
+
+
+def _shifted(axis, step):
+    """Two views of a picture, `step` pixels apart along an axis."""
+    here, there = [slice(None)] * 2, [slice(None)] * 2
+    here[axis], there[axis] = slice(None, -step), slice(step, None)
+    return tuple(here), tuple(there)
 
 
 # Trust.
@@ -453,7 +473,7 @@ class Trust:
     left: dict
 
 
-def trusted(photograph, facet, hidden, facet_group, *, margin_px=2, keep=0.5, edge_noise=6.0, enough=400, window_px=7) -> Trust:
+def trusted(photograph, facet, hidden, facet_group, *, margin_px=2, keep=0.5, edge_noise=12.0, enough=400, window_px=7) -> Trust:
     """Which pixels can be trusted (§4.5): away from edges, neither saturated nor black, and as flat as their facet.
 
     photograph : Photograph             facet : (H, W) int32, -1 for nothing
@@ -474,14 +494,15 @@ def trusted(photograph, facet, hidden, facet_group, *, margin_px=2, keep=0.5, ed
     left = {"seen": int((facet >= 0).sum())}
 
     inner = np.where(mixed, 0, labels)
-    mean = _local_mean(np.concatenate([display, black[..., None], white[..., None]], axis=2).astype(np.float32), inner, window_px // 2)
-    clipped = (mean[..., -2:] > 1e-6).any(axis=2)                     # one black or saturated pixel spoils its surroundings
-    mean = mean[..., :-2]
+    planes = [*np.moveaxis(display, 2, 0), black, white]
+    *mean, black, white = _local_mean(planes, inner, range(1, window_px // 2 + 1))
+    mean = np.stack(mean, axis=2)
+    clipped = (black > 0) | (white > 0)                               # one black or saturated pixel spoils its surroundings
     if not photograph.linear:
         clipped |= (mean > 0.97).any(axis=2)
     usable = ~mixed & ~clipped
     left["not clipped"] = int((~clipped & (facet >= 0)).sum())
-    edges = _canny(display, inner, edge_noise)
+    edges = _canny(display, inner, edge_noise) & ~mixed
 
     # The margin: as wide as asked where a group can afford it.
     n_facets = len(facet_group)
@@ -517,52 +538,62 @@ def _display(photograph):
     return values, (values <= 2 / 255 + 1e-9).all(axis=2), (values >= 250 / 255 - 1e-9).any(axis=2)
 
 
-def _local_mean(values, labels, radius):
-    """(H, W, C): the mean over the pixels with the same label within radius (first along rows, then columns); 0 has no mean of others."""
-    total = np.concatenate([values, np.ones((*labels.shape, 1), values.dtype)], axis=2)
+def _local_mean(planes, labels, steps):
+    """Each (H, W) plane averaged over the pixels of the same label at these steps along rows, then along columns."""
+    same = {(axis, step): (labels[_shifted(axis, step)[0]] == labels[_shifted(axis, step)[1]]).astype(np.float32)
+            for axis in (1, 0) for step in steps if step < labels.shape[axis]}
+    total = [np.ones(labels.shape, np.float32), *(np.asarray(plane, np.float32) for plane in planes)]
     for axis in (1, 0):
-        source, total = total, total.copy()
-        for step in range(1, radius + 1):
-            here, there = [slice(None)] * 2, [slice(None)] * 2
-            here[axis], there[axis] = slice(None, -step), slice(step, None)
-            here, there = tuple(here), tuple(there)
-            same = ((labels[here] == labels[there]) & (labels[here] > 0))[..., None]
-            total[here] += source[there] * same
-            total[there] += source[here] * same
-    return total[..., :-1] / total[..., -1:]
+        for i, source in enumerate(total):
+            total[i] = source.copy()
+            for step in steps:
+                if step < labels.shape[axis]:
+                    here, there = _shifted(axis, step)
+                    total[i][here] += source[there] * same[axis, step]
+                    total[i][there] += source[here] * same[axis, step]
+    return [plane / total[0] for plane in total[1:]]
 
 
 def _canny(display, labels, edge_noise):
-    """(H, W) bool: Canny's edges of the photograph, gradients measured in standard deviations of each facet's noise.
+    """(H, W) bool: Canny's edges of the photograph inside the facets; between facets the index buffer has them.
 
-    The noise is that of the second difference, its median over the facet: shading leaves that alone.
+    Everything is measured on one facet at a time: the gradient of the smoothed picture less its mean in
+    the surroundings (shading changes over many pixels, an edge within few), in standard deviations of
+    the facet's noise. That is the median of the second difference, which shading leaves alone.
     """
     import cv2
 
-    grey = display.astype(np.float32)
-    second = (grey[1:-1, 1:-1] * 4 - 2 * (grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:])
-              + grey[:-2, :-2] + grey[:-2, 2:] + grey[2:, :-2] + grey[2:, 2:]) / 6           # Immerkaer's mask: variance 1
-    noise = np.zeros(display.shape, np.float32)
-    size = np.abs(second)
-    inner = labels[1:-1, 1:-1].ravel()
-    order = np.argsort(inner, kind="stable")
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(inner[order])) + 1, [len(inner)]])
-    sigma = np.zeros((int(labels.max()) + 1, display.shape[2]), np.float32)
-    flat = size.reshape(-1, display.shape[2])[order]
-    for a, b in zip(starts[:-1], starts[1:]):
-        if b > a:
-            sigma[inner[order[a]]] = np.median(flat[a:b], axis=0) / 0.6745
-    sigma = np.maximum(sigma, 0.3 / 255)                                   # the steps of an 8-bit picture
-    noise = sigma[labels]
-    smooth = cv2.GaussianBlur(grey, (0, 0), 1.4)
-    smooth = smooth[..., None] if smooth.ndim == 2 else smooth
-    gradient = [cv2.Sobel(smooth, cv2.CV_32F, dx, dy, ksize=3, scale=1 / 8) for dx, dy in ((1, 0), (0, 1))]
-    gradient = [(g[..., None] if g.ndim == 2 else g) for g in gradient]
-    after = 0.11                      # standard deviation of that gradient for white noise of 1
-    ratio = [g / (after * noise) for g in gradient]
-    strongest = np.argmax(ratio[0] ** 2 + ratio[1] ** 2, axis=2)[..., None]
-    gx, gy = (np.clip(16 * np.take_along_axis(r, strongest, axis=2)[..., 0], -30000, 30000).astype(np.int16) for r in ratio)
-    return cv2.Canny(np.ascontiguousarray(gx), np.ascontiguousarray(gy), 8 * edge_noise, 16 * edge_noise, L2gradient=True) > 0
+    planes = [np.ascontiguousarray(plane, np.float32) for plane in np.moveaxis(display, 2, 0)]
+    order = np.argsort(labels[1:-1, 1:-1], axis=None, kind="stable")
+    sorted_labels = labels[1:-1, 1:-1].ravel()[order]
+    ends = np.flatnonzero(np.diff(sorted_labels, prepend=-1, append=-1))
+    smooth = _local_mean(_local_mean(planes, labels, (1, 2)), labels, (1,))
+    after = 0.06                      # standard deviation of the gradient below for white noise of 1
+    strongest = None
+    for plane, soft in zip(planes, smooth):
+        second = cv2.filter2D(plane, cv2.CV_32F, np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6)
+        second = np.abs(second[1:-1, 1:-1].ravel()[order])
+        sigma = np.full(int(labels.max()) + 1, 1 / 255, np.float32)            # a step of an 8-bit picture
+        for a, b in zip(ends[:-1], ends[1:]):
+            sigma[sorted_labels[a]] = max(sigma[sorted_labels[a]], np.median(second[a:b]) / 0.6745)
+        gradient = []
+        for axis in (1, 0):
+            here, there = _shifted(axis, 2)
+            middle = tuple(slice(1, -1) if k == axis else slice(None) for k in (0, 1))
+            g = np.zeros_like(soft)
+            inside = (labels[here] == labels[there]) & (labels[here] == labels[middle])
+            g[middle] = np.where(inside, (soft[there] - soft[here]) / 2, 0) if soft.shape[axis] > 2 else 0
+            gradient.append(g / (after * sigma[labels]))
+        around = _local_mean([np.clip(g, -edge_noise, edge_noise) for g in gradient], labels, (3, 6))
+        gradient = [g - mean for g, mean in zip(gradient, around)]
+        size = gradient[0] ** 2 + gradient[1] ** 2
+        if strongest is None:
+            strongest, best = gradient, size
+        else:
+            strongest = [np.where(size > best, g, old) for g, old in zip(gradient, strongest)]
+            best = np.maximum(best, size)
+    gx, gy = (np.clip(16 * g, -30000, 30000).astype(np.int16) for g in strongest)
+    return cv2.Canny(gx, gy, 8 * edge_noise, 16 * edge_noise, L2gradient=True) > 0
 
 
 def _flattest(mean, facet, mask, n_facets, keep, least):
