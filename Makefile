@@ -26,8 +26,9 @@ all: $(SCENES:%=run-%)
 define scene
 $(filter-out run-$(1),$(filter $(1) $(1)/%,$(WISHES))): run-$(1) ; @:
 run-$(1): setup
-	+@$$(PYTHON) -m lib.plan --data "$$(DATA)" --build "$$(BUILD)" --python $$(PYTHON) $(filter $(1) $(1)/%,$(WISHES))
-	+@$$(MAKE) -f "$$(BUILD)/$(1)/plan.mk"
+	+@[ -e .venv/ready ] || { echo '# the plan of $(1) is known once .venv is there'; exit 0; }; \
+	$$(PYTHON) -m lib.plan --data "$$(DATA)" --build "$$(BUILD)" --python $$(PYTHON) $(filter $(1) $(1)/%,$(WISHES)); \
+	$$(MAKE) -f "$$(BUILD)/$(1)/plan.mk"
 endef
 $(foreach name,$(NAMES),$(eval $(call scene,$(name))))
 

@@ -423,7 +423,7 @@ parser = argparse.ArgumentParser(prog="plan.py", description=__doc__.split("\n")
 parser.add_argument("wishes", nargs="*", metavar="SCENE[/STAGE]")
 parser.add_argument("--data", default="data")
 parser.add_argument("--build", default="build")
-parser.add_argument("--pipeline", default=str(ROOT / "pipeline.yaml"))
+parser.add_argument("--pipeline", default="pipeline.yaml")
 parser.add_argument("--python", default=sys.executable, help="the interpreter that the stages run under")
 parser.add_argument("--show", action="store_true", help="say what runs and what is left out, and why; without names: every scene")
 

@@ -116,7 +116,10 @@ def read_yaml(path):
 
 
 def show(value):
-    text = json.dumps(value, default=str, ensure_ascii=False)
+    try:
+        text = json.dumps(value, default=str, ensure_ascii=False)
+    except (ValueError, TypeError):                  # holds itself, or keys that JSON has not
+        text = str(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
 

@@ -39,8 +39,9 @@ def _terminate(*_):
 
 def run(main, parser, argv=None):
     """Parse argv and call main(opt).  Bad input: one line per problem on stderr, exit status 2; a bug keeps its traceback."""
-    opt = parser.parse_args(argv)
     name = os.path.basename(parser.prog)
+    parser.error = lambda message: parser.exit(2, f"{name}: {message} (--help lists the options)\n")     # one line, no usage
+    opt = parser.parse_args(argv)
     signal.signal(signal.SIGTERM, _terminate)
     try:
         main(opt)
