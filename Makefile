@@ -45,8 +45,11 @@ doctor: setup
 	@$(PYTHON) -m lib.doctor
 
 # Synthetic scenes are committed; only to make them again is Mitsuba needed, which has an environment of its own.
-scenes: setup .venv-scenes/ready
-	.venv-scenes/bin/python stages/synthesise.py
+# The command line of each stands in its origin.md.  ONLY=office for one of them.
+ONLY ?= *
+scenes: .venv-scenes/ready
+	@sed -n 's,^ *\(stages/synthesise.py .*\),\1,p' data/$(ONLY)/origin.md | while read -r words; do \
+	  echo "$$words"; .venv-scenes/bin/python $$words; done
 
 clean:
 	rm -rf -- "$(BUILD)"
