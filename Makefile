@@ -9,7 +9,6 @@ MAKEFLAGS += --no-builtin-rules --no-print-directory
 DATA ?= data
 BUILD ?= build
 PYTHON := .venv/bin/python
-export PYTHONDONTWRITEBYTECODE ?=
 
 TARGETS := all plan test bench scenes doctor help clean setup demo
 GOALS := $(or $(MAKECMDGOALS),demo)

@@ -589,7 +589,7 @@ def _canny(display, labels, edge_noise):
             inside = (labels[here] == labels[there]) & (labels[here] == labels[middle])
             g[middle] = np.where(inside, (soft[there] - soft[here]) / 2, 0) if soft.shape[axis] > 2 else 0
             gradient.append(g / (after * sigma[labels]))
-        around = _local_mean([np.clip(g, -edge_noise, edge_noise) for g in gradient], labels, (3, 6))
+        around = _local_mean([np.clip(g, -4 * edge_noise, 4 * edge_noise) for g in gradient], labels, (3, 6))
         gradient = [g - mean for g, mean in zip(gradient, around)]
         size = gradient[0] ** 2 + gradient[1] ** 2
         if strongest is None:
