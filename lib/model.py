@@ -527,8 +527,8 @@ def _facets(vertices, position, corners, starts, area_vector, thing, material, n
         np.minimum.at(low, of_corner, np.column_stack([p, height]))
         np.maximum.at(high, of_corner, np.column_stack([p, height]))
         extent = high - low
-        bent = (extent[:, 3] > 2 * FLAT * np.linalg.norm(extent[:, :3], axis=1))
-        steep = np.einsum("ij,ij->i", n, total[facet]) < 0.99
+        bent = extent[:, 3] > FLAT * np.linalg.norm(extent[:, :3], axis=1)
+        steep = np.einsum("ij,ij->i", n, total[facet]) < 0.998
         bent[facet[steep]] = True
         bent &= np.bincount(facet, minlength=n_facets) > 1
         if not bent.any():

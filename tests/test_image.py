@@ -1,0 +1,138 @@
+"""Image files: what is written is read again to the last bit; what is damaged is refused in one line."""
+import cv2
+import numpy as np
+import pytest
+
+from lib import image
+from lib.stage import BadInput
+
+RNG = np.random.default_rng(0)
+COLOUR8 = RNG.integers(0, 256, (13, 17, 3), dtype=np.uint8)
+COLOUR16 = RNG.integers(0, 65536, (13, 17, 3), dtype=np.uint16)
+
+
+@pytest.mark.parametrize("stored, write, white", [(COLOUR8, image.write_png8, 255), (COLOUR16, image.write_png16, 65535)])
+def test_png_there_and_back(tmp_path, stored, write, white):
+    write(tmp_path / "a.png", stored)
+    photograph = image.read_photograph(tmp_path / "a.png")
+    assert np.array_equal(photograph.values * white, stored)                 # RGB stays RGB
+    assert photograph.bits == (8 if white == 255 else 16) and not photograph.linear and photograph.channels_in_file == 3
+
+
+def test_channel_order(tmp_path):
+    """Red is the first channel: written here by hand, as a PNG of one pixel (10, 20, 30)."""
+    cv2.imwrite(str(tmp_path / "a.png"), np.array([[[30, 20, 10]]], np.uint8))        # OpenCV stores B, G, R
+    assert (image.read_photograph(tmp_path / "a.png").values * 255).ravel().tolist() == [10, 20, 30]
+
+
+@pytest.mark.parametrize("kind", ["png", "tif"])
+def test_three_equal_channels_are_one(tmp_path, kind):
+    grey = COLOUR8[..., :1].repeat(3, axis=2)
+    cv2.imwrite(str(tmp_path / f"a.{kind}"), grey)
+    photograph = image.read_photograph(tmp_path / f"a.{kind}")
+    assert photograph.values.shape == (13, 17, 1) and photograph.channels_in_file == 3
+    cv2.imwrite(str(tmp_path / f"b.{kind}"), grey[..., 0])
+    photograph = image.read_photograph(tmp_path / f"b.{kind}")
+    assert photograph.values.shape == (13, 17, 1) and photograph.channels_in_file == 1
+
+
+def test_opaque_alpha_is_dropped_and_other_refused(tmp_path):
+    with_alpha = np.dstack([COLOUR8, np.full((13, 17), 255, np.uint8)])
+    cv2.imwrite(str(tmp_path / "a.png"), with_alpha)
+    assert image.read_photograph(tmp_path / "a.png").values.shape == (13, 17, 3)
+    with_alpha[3, 4, 3] = 254
+    cv2.imwrite(str(tmp_path / "a.png"), with_alpha)
+    with pytest.raises(BadInput, match="alpha"):
+        image.read_photograph(tmp_path / "a.png")
+
+
+def test_jpeg(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.jpg"), np.full((40, 50, 3), (200, 100, 50), np.uint8))
+    photograph = image.read_photograph(tmp_path / "a.jpg")
+    assert np.abs(photograph.values * 255 - [50, 100, 200]).max() < 3
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
+def test_exr_there_and_back(tmp_path, shape):
+    light = (RNG.lognormal(0, 3, shape) * 10).astype(np.float32)             # values above 1 are light
+    image.write_exr(tmp_path / "a.exr", light)
+    assert np.array_equal(image.read_exr(tmp_path / "a.exr"), light)
+    photograph = image.read_photograph(tmp_path / "a.exr")
+    assert photograph.linear and photograph.bits == 0
+    assert np.array_equal(photograph.values, light.reshape(5, 7, -1))
+
+
+def test_depth_is_a_channel_called_Z(tmp_path):
+    import OpenEXR
+
+    image.write_exr(tmp_path / "a.exr", np.full((2, 3), 1.25), name="Z")
+    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
+        assert list(file.channels()) == ["Z"] and file.channels()["Z"].pixels.dtype == np.float32
+
+
+def test_labels(tmp_path):
+    labels = np.array([[0, 1, 65535], [7, 8, 9]])
+    image.write_png16(tmp_path / "a.png", labels)
+    again = image.read_labels(tmp_path / "a.png")
+    assert again.dtype == np.int32 and np.array_equal(again, labels)
+    image.write_png8(tmp_path / "b.png", labels > 6)
+    assert image.read_labels(tmp_path / "b.png").tolist() == [[0, 0, 255], [255, 255, 255]]
+    image.write_png8(tmp_path / "c.png", COLOUR8)
+    with pytest.raises(BadInput, match="one channel"):
+        image.read_labels(tmp_path / "c.png")
+
+
+@pytest.mark.parametrize("wrong", [np.array([[70000]]), np.array([[-1]]), np.array([[0.5]])])
+def test_what_does_not_fit_is_not_written(tmp_path, wrong):
+    with pytest.raises(ValueError):
+        image.write_png16(tmp_path / "a.png", wrong)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg", "exr", "tif"])
+@pytest.mark.parametrize("part", [0, 1, 20, 0.3, 0.9, 0.995])
+def test_truncated(tmp_path, kind, part):
+    path = tmp_path / f"a.{kind}"
+    noise = RNG.random((60, 80, 3))
+    image.write_exr(path, noise) if kind == "exr" else cv2.imwrite(str(path), (noise * 255).astype(np.uint8))
+    content = path.read_bytes()
+    path.write_bytes(content[:part if part in (0, 1, 20) else int(len(content) * part)])
+    with pytest.raises(BadInput) as refusal:
+        image.read_photograph(path)
+    assert refusal.value.problems[0].startswith(f"{path}: ")
+
+
+def test_one_wrong_bit_in_a_png(tmp_path):
+    image.write_png8(tmp_path / "a.png", COLOUR8)
+    content = bytearray((tmp_path / "a.png").read_bytes())
+    content[len(content) // 2] ^= 1
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(BadInput, match="checksum"):
+        image.read_photograph(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("name, content, says", [("a.png", b"hello", "not a readable image"), ("a.exr", b"hello", "not a readable EXR"),
+                                                 ("a.jpg", b"\xff\xd8hello", "end of a JPEG")])
+def test_not_an_image(tmp_path, name, content, says):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BadInput, match=says):
+        image.read_photograph(tmp_path / name)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(BadInput, match="none.png"):
+        image.read_photograph(tmp_path / "none.png")
+
+
+def test_exr_that_is_not_finite(tmp_path):
+    light = np.ones((4, 5, 3))
+    light[2, 3, 1] = np.nan
+    image.write_exr(tmp_path / "a.exr", light)
+    with pytest.raises(BadInput, match=r"pixel \(3, 2\): channel 1 = nan"):
+        image.read_photograph(tmp_path / "a.exr")
+
+
+def test_float_tiff_is_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.tif"), RNG.random((4, 5, 3)).astype(np.float32))
+    with pytest.raises(BadInput, match="float32"):
+        image.read_photograph(tmp_path / "a.tif")
