@@ -104,7 +104,7 @@ def check_embree():
         hit = scene.cast_rays(np.array([[.2, .2, 0, 0, 0, 1]], np.float32))["t_hit"].numpy()[0]
         yield "ok" if abs(hit - 1) < 1e-6 else "!!", f"Embree through open3d {o3d.__version__}: a ray meets a triangle at {hit:.6f} (1)", "rm -rf .venv; make setup"
     except Exception as error:
-        yield "!!", f"Embree through open3d: {' '.join(str(error).split())}", "apt-get install libgl1 libgomp1 libx11-6, then rm -rf .venv; make setup"
+        yield "!!", f"Embree through open3d: {' '.join(str(error).split())}", "apt-get install libgl1 libgomp1 libx11-6 libusb-1.0-0, then rm -rf .venv; make setup"
 
 
 def check_mrcal():
