@@ -24,6 +24,7 @@ from lib.stage import BadInput
 ROOT = Path(__file__).resolve().parents[1]
 TARGETS = ("all", "plan", "test", "bench", "scenes", "doctor", "help", "clean", "setup", "demo")     # of the Makefile
 CLOSING = ("scorecard.csv",)                     # a goal of every scene, whatever it says
+REPORTS = "*.report.json"                        # of the planned stages above
 FACTS = ("board", "lens", "lamps", "lamp_groups", "reference", "transfer", "surfaces", "augment", "scene")
 ENTRY = ("reads", "may_read", "writes", "facts", "params", "sweep", "needs")
 
@@ -105,55 +106,77 @@ def read_pipeline(path):
 
 
 def walk(scene, stages, build, wishes=(None,)):
-    """The plan for the wishes: None for the scene's goals, else a stage's name.  BadInput lists every problem, the scene's too."""
-    writer = {file: s for s in stages.values() for file in s.outputs}
-    problems = list(scene.problems)
-    yaml = scene.folder / "scene.yaml"
-    planned, passed_over, seen, goals = set(), {}, set(), []
+    """The plan for the wishes: None for the scene's goals, else a stage's name.  BadInput lists every problem, the scene's too.
 
-    def plan_stage(stage, goal, file=None):
-        if stage.name in planned:
-            return
-        planned.add(stage.name)
-        if not stage.built:
-            what = ":" if file in (None, goal) else f" needs {file}, which is not given:"
-            problems.append(f"{yaml}: goals: {goal}{what} the stage {stage.name} is not built yet")
-            return
-        for read in stage.reads.values():
-            need(read, goal, stage)
-
-    def need(file, goal, reader=None):
-        if file in seen:
-            return
-        seen.add(file)
-        if scene.given(file):
-            if file in writer:
-                passed_over[writer[file].name] = file
-        elif file in writer:
-            plan_stage(writer[file], goal, file)
-        elif reader:
-            names = " or ".join(scenes.alternatives(file))
-            problems.append(f"{yaml}: goals: {goal} needs {names}, which is not in the scene's folder (stage {reader.name})")
-        else:
-            problems.append(f"{yaml}: goals: {goal} is neither made by a stage nor given")
-
+    "Up to one stage" takes in what that stage may read if the scene's goals have it made: its command line, and so its
+    answer, are those of the whole scene.
+    """
+    closing = [goal for goal in CLOSING if any(goal in s.writes.values() for s in stages.values())]
+    whole = _Walk(scene, stages)
+    for goal in [*scene.goals, *closing]:
+        whole.need(goal, goal)
+    walks, goals, problems = [], [], list(scene.problems)
     for wish in wishes:
         if wish is None:
-            wanted = [*scene.goals, *(goal for goal in CLOSING if goal in writer)]
-            goals += wanted
-            for goal in wanted:
-                need(goal, goal)
+            walks.append(whole)
+            goals += [*scene.goals, *closing]
         elif wish in stages:
-            plan_stage(stages[wish], f"{scene.name}/{wish}")
+            walks.append(_Walk(scene, stages, whole.planned))
+            walks[-1].plan(stages[wish], f"{scene.name}/{wish}")
             goals += [file for file in stages[wish].outputs if not scene.given(file)]
         else:
             problems.append(f"{scene.name}/{wish}: there is no such stage; stages are {', '.join(stages)}")
-    goals = list(dict.fromkeys(goals))
-    plan = Plan(scene, stages, Path(build) / scene.name, [n for n in stages if n in planned], goals, passed_over)
-    problems += _facts(plan) + _system(plan)
+    planned = [name for name in stages if any(name in walk.planned for walk in walks)]
+    passed_over = {name: file for walk in walks for name, file in walk.passed_over.items()}
+    plan = Plan(scene, stages, Path(build) / scene.name, planned, list(dict.fromkeys(goals)), passed_over)
+    problems += [problem for walk in walks for problem in walk.problems] + _facts(plan) + _system(plan)
     if problems:
         raise BadInput(*dict.fromkeys(problems))
     return plan
+
+
+class _Walk:
+    """Back from files that are needed; `optional`: stages whose files are worth passing on, though only if may-read."""
+
+    def __init__(self, scene, stages, optional=frozenset()):
+        self.scene, self.stages, self.optional = scene, stages, optional
+        self.writer = {file: stage for stage in stages.values() for file in stage.outputs}
+        self.planned, self.passed_over, self.problems, self.seen = set(), {}, [], set()
+
+    def refuse(self, problem):
+        self.problems.append(f"{self.scene.folder / 'scene.yaml'}: goals: {problem}")
+
+    def need(self, file, goal, reader=None):
+        if file in self.seen:
+            return
+        self.seen.add(file)
+        if self.scene.given(file):
+            if file in self.writer:
+                self.passed_over[self.writer[file].name] = file
+        elif file in self.writer:
+            self.plan(self.writer[file], goal, file)
+        elif reader:
+            names = " or ".join(scenes.alternatives(file))
+            self.refuse(f"{goal} needs {names}, which is not in the scene's folder (stage {reader.name})")
+        else:
+            self.refuse(f"{goal} is neither made by a stage nor given")
+
+    def plan(self, stage, goal, file=None):
+        if stage.name in self.planned:
+            return
+        self.planned.add(stage.name)
+        if not stage.built:
+            what = ":" if file in (None, goal) else f" needs {file}, which is not given:"
+            self.refuse(f"{goal}{what} the stage {stage.name} is not built yet")
+            return
+        for read in stage.reads.values():
+            self.need(read, goal, stage)
+        for read in stage.may_read.values():
+            before = list(self.stages)[:list(self.stages).index(stage.name)]
+            makers = before if read == REPORTS else [self.writer[read].name] if read in self.writer and not self.scene.given(read) else []
+            for name in makers:
+                if name in self.optional:
+                    self.plan(self.stages[name], goal)
 
 
 def _facts(plan):
@@ -215,7 +238,7 @@ def command(plan, stage, python):
     """(argv, files read): what Make prints can be pasted."""
     argv, inputs = [python, stage.script], []
     for option, file in [*stage.reads.items(), *stage.may_read.items()]:
-        if file == "*.report.json":
+        if file == REPORTS:
             order = list(plan.stages)
             paths = [plan.build / plan.stages[n].report for n in plan.planned if order.index(n) < order.index(stage.name)]
         elif file.endswith("/"):

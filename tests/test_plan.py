@@ -156,6 +156,14 @@ def test_up_to_one_stage(toy):
     assert (status, ran) == (0, ["see", "pose"]), said
     assert not (toy.out / "scorecard.csv").exists()
     assert toy.make("room")[1] == ["fit", "compare"]
+    assert toy.make("room/fit")[1] == toy.make("room/compare")[1] == toy.make("room", "room/see")[1] == []      # the same command lines
+
+
+def test_up_to_a_stage_that_must_read_nothing(toy):
+    """All that `compare` reads is optional: it still gets what the scene's goals have made, and nothing else."""
+    assert toy.make("room/compare")[1] == ["see", "pose", "fit", "compare"]
+    assert toy.make("room")[1] == []
+    assert toy.make("room/later")[1] == ["later"]
 
 
 def test_truth_reaches_the_comparison_alone(toy):
