@@ -103,3 +103,24 @@ def progress(iterable_or_total, label):
         if shown != begin:
             sys.stderr.write("\r\033[K")
             sys.stderr.flush()
+
+
+class Bar:
+    """The same bar for work that reports the share it has done: bar(0.25); it goes away at 1."""
+
+    def __init__(self, label):
+        self.label, self.begin, self.shown = label, time.monotonic(), None
+
+    def __call__(self, share):
+        if not sys.stderr.isatty():
+            return
+        now = time.monotonic()
+        if share >= 1:
+            if self.shown:
+                sys.stderr.write("\r\033[K")
+                sys.stderr.flush()
+        elif now - (self.shown or self.begin) > 0.1:
+            self.shown = now
+            left = (now - self.begin) / max(share, 1e-9) * (1 - share)
+            sys.stderr.write(f"\r{self.label} [{'#' * int(30 * share):30}] {100 * share:.0f} %, {left:.0f} s left \033[K")
+            sys.stderr.flush()
