@@ -249,49 +249,63 @@ def _caster(view):
     return scene
 
 
-def _cast(scene, view, v, doubtful):
-    """Rank of the triangle that each ray (n, 3), z = 1, camera frame, meets first; -1: none."""
+def _cast(scene, view, v, plane):
+    """Rank of the triangle that each ray (n, 3), z = 1, camera frame, meets first; -1: none. plane : of _shared_planes."""
     import open3d
 
     rays = np.zeros((len(v), 6), np.float32)
     rays[:, 3:] = v
-    hit = scene.cast_rays(open3d.core.Tensor(rays))["primitive_ids"].numpy().view(np.int32)
-    rank = hit.astype(np.int64)
-    # Where the nearest facet coincides with another one, look at all that the ray meets.
-    again = np.flatnonzero((hit >= 0) & doubtful[hit])
-    if len(again):
-        meets = scene.list_intersections(open3d.core.Tensor(rays[again]))
-        ray, met = meets["ray_ids"].numpy().astype(np.int64), meets["primitive_ids"].numpy().astype(np.int64)
-        direction = v[again]
-        inverse = np.clip(np.einsum("ij,ij->i", view.slope[met], direction[ray]), view.low[met], view.high[met])
-        best = np.zeros(len(again))
-        np.maximum.at(best, ray, inverse)
-        slack = TIE * (np.einsum("ij,ij->i", np.abs(view.slope[met]), np.abs(direction[ray])) + best[ray])
-        tied = inverse >= best[ray] - slack
-        winner = np.full(len(again), -1)
-        np.maximum.at(winner, ray[tied], met[tied])
-        rank[again] = np.where(winner >= 0, winner, rank[again])
+    rank = scene.cast_rays(open3d.core.Tensor(rays))["primitive_ids"].numpy().view(np.int32).astype(np.int64)
+    # Where several facets lie in one plane Embree names any of them: there look at all their triangles, in double precision.
+    hit_plane = np.where(rank >= 0, plane[rank], -1)
+    order = np.argsort(hit_plane, kind="stable")
+    for part in np.split(order, np.flatnonzero(np.diff(hit_plane[order])) + 1):
+        if len(part) and hit_plane[part[0]] >= 0:
+            rank[part] = _settle(view, np.flatnonzero(plane == hit_plane[part[0]]), v[part], rank[part])
     return rank
 
 
-def _doubtful(model, view):
-    """(N,) bool: triangles whose facet lies in the plane of another facet (either way round)."""
+def _settle(view, candidates, v, rank):
+    """The highest rank among the triangles `candidates` of one plane that are as near as the nearest, for rays v (n, 3)."""
+    best = np.clip(np.einsum("ij,ij->i", view.slope[rank], v), view.low[rank], view.high[rank])
+    winner = rank.copy()
+    for t in np.sort(candidates):
+        of = np.flatnonzero(winner < t)
+        a, b, c = view.p[t]
+        turn = np.sign(view.slope[t] @ np.cross(b - a, c - a))
+        for corner, following in ((a, b), (b, c), (c, a)):         # v . (a x b): on which side of the edge ab the ray passes
+            of = of[v[of] @ np.cross(corner, following) * turn >= 0]
+        inverse = np.clip(v[of] @ view.slope[t], view.low[t], view.high[t])
+        tied = inverse >= best[of] - TIE * (np.abs(v[of]) @ np.abs(view.slope[t]) + best[of])
+        winner[of[tied]] = t
+    return winner
+
+
+def _shared_planes(model, view):
+    """(N,) int: the number of a plane in which a triangle lies together with those of another facet (either way round), else -1."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     used = np.unique(model.triangles)
     low, high = model.vertices[used].min(axis=0), model.vertices[used].max(axis=0)
     middle, size = (low + high) / 2, np.linalg.norm(high - low)
     n = model.facet_normal
     offset = (model.facet_offset - n @ middle) / size
-    turn = np.where(n[np.arange(len(n)), np.abs(n).argmax(axis=1)] < 0, -1.0, 1.0)       # both sides alike
-    plane = np.column_stack([n, offset]) * turn[:, None]
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(plane)
-    alone = np.ones(len(n), bool)
-    pairs = tree.query_pairs(1e-5, output_type="ndarray") if len(n) <= 20000 else np.zeros((0, 2), int)
-    alone[pairs.ravel()] = False
-    if len(n) > 20000:                                     # a mesh: neighbours by thousands; one other is enough
-        alone = tree.query(plane, k=2)[0][:, 1] > 1e-5
-    return ~alone[model.triangle_facet[view.triangle]]
+    plane = np.column_stack([n, offset])
+    # The same cell in one of five shifted grids: planes closer than a cell's fifth always meet. Both sides count alike.
+    cell = 5e-5
+    facet = np.arange(len(n))
+    left, right = [], []
+    for shift in range(5):
+        both = np.concatenate([plane, -plane])
+        key = np.unique(np.floor(both / cell + shift / 5).astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
+        first = np.zeros(key.max() + 1, int)
+        first[key[::-1]] = np.tile(facet, 2)[::-1]
+        left.append(np.tile(facet, 2)), right.append(first[key])
+    left, right = np.concatenate(left), np.concatenate(right)
+    number = connected_components(coo_matrix((np.ones(len(left), bool), (left, right)), shape=(len(n), len(n))), directed=False)[1]
+    number = np.where(np.bincount(number)[number] > 1, number, -1)
+    return number[model.triangle_facet[view.triangle]]
 
 
 def reference(model, camera) -> IndexBuffer:
@@ -301,7 +315,7 @@ def reference(model, camera) -> IndexBuffer:
         rank = np.full((camera.height, camera.width), -1)
     else:
         v = camera.directions(camera.pixels().reshape(-1, 2))
-        rank = _cast(_caster(view), view, v, _doubtful(model, view)).reshape(camera.height, camera.width)
+        rank = _cast(_caster(view), view, v, _shared_planes(model, view)).reshape(camera.height, camera.width)
     return _buffer(model, camera, view, rank, "rays")
 
 
@@ -337,10 +351,10 @@ def coverage(model, camera, facet, method="opengl"):
         at = np.flatnonzero(near)
         offsets = (np.arange(n) + 0.5) / n - 0.5
         sub = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-        scene, doubtful = _caster(view), _doubtful(model, view)
+        scene, plane = _caster(view), _shared_planes(model, view)
         for part in np.array_split(at, max(1, len(at) // 20000)):
             q = np.column_stack([part % W, part // W])[:, None] + sub
-            values = facet_of_rank[_cast(scene, view, camera.directions(q.reshape(-1, 2)), doubtful)].reshape(-1, n * n)
+            values = facet_of_rank[_cast(scene, view, camera.directions(q.reshape(-1, 2)), plane)].reshape(-1, n * n)
             mixed = (values != facet.ravel()[part, None]).any(axis=1)
             pixels.append(part[mixed])
             samples.append(values[mixed])

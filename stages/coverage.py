@@ -14,7 +14,7 @@ import argparse
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
 from lib import stage
 
 
@@ -35,7 +35,7 @@ def main(opt):
         with report.excluded("imports"):
             import cv2                                             # noqa: F401  where lib/ imports late
             import numpy as np
-            import scipy.sparse.csgraph, scipy.spatial             # noqa: F401, E401
+            import scipy.sparse.csgraph                            # noqa: F401
             from lib import artefact, cameras, image, index_buffer, model as models
 
         model = models.load(opt.model)

@@ -17,7 +17,7 @@ import argparse
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
 from lib import stage
 
 
@@ -99,7 +99,6 @@ def draw(model, camera, method, report):
             report.warning(f"no OpenGL ({error}): rays instead")
     with report.excluded("imports"):
         import open3d                                              # noqa: F401
-        import scipy.spatial                                       # noqa: F401
     return index_buffer.reference(model, camera)
 
 
