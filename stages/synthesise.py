@@ -11,15 +11,16 @@ writes  OUT/            scene.yaml model.obj model.mtl left.png|left.exr left.po
         OUT/truth/      materials.json group.png legend.json noise.json
 
 The picture is the mean of `--passes` passes of `--spp` samples per pixel, each with its own seed; their spread is the
-noise.  Groups that stay above `--target` get further passes over the window that contains them, so every pixel is a mean
-of independent passes, some of more than others.
+noise.  Groups that stay above `--target` get further passes over the window that contains them, unless that is most of the
+picture, so every pixel is a mean of independent passes, some of more than others.  A group's noise is that of its mean over
+pixels that no lamp's edge touches.
 """
 import argparse
 import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
 from lib import stage
 
 MAX_DEPTH = 120
@@ -119,7 +120,9 @@ def group_picture(mi, scene, recipe):
 
 
 class Passes:
-    """Independent passes over a picture, some over a window only: mean and variance per pixel, and group means per pass."""
+    """Independent passes over a picture, some over a window only: mean and variance per pixel, and group means per pass.
+
+    `labels` (H, W): index + 1 of the group whose mean a pixel enters, 0 = none."""
 
     def __init__(self, shape, labels, groups):
         import numpy as np
@@ -164,9 +167,13 @@ def window_of(labels, k):
 def render(mi, recipe, folder, opt):
     """All passes; stops at `--target` or after `--more` passes of a window."""
     import numpy as np
+    import cv2
     full = mitsuba_scene(mi, recipe, folder, opt.roulette)
     labels = group_picture(mi, full, recipe)
-    passes = Passes((recipe.size[1], recipe.size[0], 3), labels, len(recipe.groups))
+    # A pixel at a lamp's edge is lamp in part, a hundred times brighter: it would be most of the noise of the ceiling's mean.
+    lamps = np.isin(labels, [recipe.groups.index(g) + 1 for g in recipe.lamps])
+    pure = np.where(lamps | (cv2.dilate(lamps.astype(np.uint8), np.ones((3, 3))) == 0), labels, 0)
+    passes = Passes((recipe.size[1], recipe.size[0], 3), pure, len(recipe.groups))
     seed = opt.seed
     for _ in range(opt.passes):
         passes.add(np.array(mi.render(full, spp=opt.spp, seed=seed), dtype=float)[..., :3] * np.pi)
@@ -175,7 +182,9 @@ def render(mi, recipe, folder, opt):
         size = (labels == k + 1).sum()
         if size < 500 or group in recipe.lamps:
             continue
-        window = window_of(labels, k)
+        window = x0, y0, x1, y1 = window_of(pure, k)
+        if (x1 - x0) * (y1 - y0) > 0.2 * labels.size:
+            continue
         scene, left = None, opt.more
         while left > 0 and (noise := passes.group_noise(k).max()) > opt.target:
             scene = scene or mitsuba_scene(mi, recipe, folder, opt.roulette, window)
@@ -237,7 +246,7 @@ def main(opt):
         "variant": opt.variant, "mitsuba": mi.__version__, "integrator": f"path, max_depth {MAX_DEPTH}, rr_depth {opt.roulette}", "sampler": "independent",
         "spp": opt.spp * opt.passes, "spp_per_pass": opt.spp, "passes": opt.passes,
         "spp_highest": int(opt.spp * passes.count.max()), "seeds": [opt.seed, opt.seed + number - 1],
-        "unit": "1", "meaning": "standard error of the mean over independent passes / mean, per channel; linear values",
+        "unit": "1", "meaning": "standard error of the mean over independent passes / mean, per channel; linear values; group means without the pixels beside a lamp",
         "median_pixel": [float(x) for x in np.median(relative, 0)],
         "groups": {g: {"pixels": pixels[g], "passes": len(passes.group_means[k]), "noise": [float(x) for x in passes.group_noise(k)]}
                    for k, g in enumerate(recipe.groups) if pixels[g] >= 500 and g not in recipe.lamps},
