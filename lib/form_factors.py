@@ -46,6 +46,15 @@ class Rows:
         scale = np.repeat(1 / np.maximum(valid, 1), np.diff(self.indptr))
         return csr_array(((count * scale).astype(np.float32), self.indices, self.indptr), shape=(len(self.valid), self.columns))
 
+    @classmethod
+    def dense(cls, F) -> "Rows":
+        """Rows of a matrix (N, N) that did not come from rays."""
+        row, column = np.nonzero(F)
+        value = F[row, column].astype(np.float32)
+        one = np.ones(len(F), np.float32)
+        return cls(np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(F)))]), column.astype(np.int32), value, value / 2,
+                   one, one / 2, np.ones(len(F), np.int64), np.zeros(len(F), np.float32), F.shape[1])
+
     @property
     def row_sums(self):
         """(M,) before any normalisation: 1 in a closed scene, 0 for a patch wholly inside a solid."""
@@ -233,16 +242,23 @@ def _rows(surface, mesh, ray_start, make, progress=None) -> Rows:
     first = 0
     while first < m:
         last = max(first + 1, int(np.searchsorted(ray_start, ray_start[first] + CHUNK, "right")) - 1)
-        hit, _ = _trace(surface, mesh, make(first, last))
-        keys, entries, valid, valid_half, lost = _compress(hit, ray_start, first, last)
-        indptr = np.concatenate([[0], np.cumsum(entries)])
-        parts.append((entries, valid, valid_half, lost, *_fill(keys, ray_start, first, last, indptr)))
+        parts.append(_count(_trace(surface, mesh, make(first, last))[0], ray_start, first, last, len(mesh)))
         if progress is not None:
             progress(last / m)
         first = last
-    entries, valid, valid_half, lost, indices, count, half = (np.concatenate(column) for column in zip(*parts))
-    return Rows(np.concatenate([[0], np.cumsum(entries)]), indices, count, half, valid, valid_half,
-                np.diff(ray_start), lost, len(mesh))
+    if len(parts) == 1:
+        return parts[0]
+    join = {name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("indices", "count", "half", "valid", "valid_half", "shot", "lost")}
+    return Rows(indptr=np.concatenate([[0], np.cumsum(np.concatenate([np.diff(part.indptr) for part in parts]))]), columns=len(mesh), **join)
+
+
+def _count(hit, ray_start, first, last, columns) -> Rows:
+    """Rows of the elements first..last-1 from the patch that each of their rays met."""
+    keys, entries, valid, valid_half, lost = _compress(hit, ray_start, first, last)
+    indptr = np.concatenate([[0], np.cumsum(entries)])
+    indices, count, half = _fill(keys, ray_start, first, last, indptr)
+    return Rows(indptr, indices, count, half, valid, valid_half, np.diff(ray_start[first:last + 1]), lost, columns)
 
 
 def rays(surface: Surface, mesh: Mesh, *, n_rays, seed=0, progress=None) -> Rows:
@@ -270,24 +286,19 @@ def gather(surface: Surface, mesh: Mesh, points, point_start, side, n_rays, *, s
 
 
 def probe(surface: Surface, mesh: Mesh, *, n_rays, seed=0):
-    """What each patch sees: share of its rays that meet the lit side of something, (N,), and the harmonic mean
-    distance to it, (N,) local (inf where nothing is seen)."""
+    """Share of each patch's rays that meet the lit side of something, (N,)."""
     points, shift = sobol(n_rays), shifts(len(mesh), n_rays, seed + 1000)
     seen = np.zeros(len(mesh))
-    inverse = np.zeros(len(mesh))
     step = max(1, CHUNK // n_rays)
     for a in range(0, len(mesh), step):
         b = min(len(mesh), a + step)
         r = _patch_rays(a, b, n_rays, points, shift, mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf,
                         surface.origin, surface.axes, surface.normal)
-        triangle, distance = surface.caster.closest(r)
+        triangle, _ = surface.caster.closest(r)
         f = surface.facet[triangle]
         back = np.einsum("ij,ij->i", r[:, 3:], surface.normal[f]) > 0
-        good = (triangle >= 0) & ~surface.inside[2 * f + back]
-        seen[a:b] = good.reshape(-1, n_rays).mean(axis=1)
-        inverse[a:b] = np.where(good, 1 / np.maximum(distance, OFFSET), 0).reshape(-1, n_rays).sum(axis=1)
-        inverse[a:b] /= np.maximum(good.reshape(-1, n_rays).sum(axis=1), 1)
-    return seen, np.where(inverse > 0, 1 / np.maximum(inverse, 1e-30), np.inf)
+        seen[a:b] = ((triangle >= 0) & ~surface.inside[2 * f + back]).reshape(-1, n_rays).mean(axis=1)
+    return seen
 
 
 # -- lamps
@@ -436,21 +447,165 @@ def side_normals(surface) -> np.ndarray:
     return np.stack([surface.normal, -surface.normal], axis=1).reshape(-1, 3)
 
 
-def patch_direct(surface: Surface, mesh: Mesh, lamps, n_lamps, *, n_points, n_samples=4, seed=0) -> np.ndarray:
-    """Factor of each point of each patch to each lamp, (N, n_points, n_lamps)."""
+def patch_direct(surface: Surface, mesh: Mesh, lamps, n_lamps, *, n_points, n_samples=4, seed=0):
+    """Factor of each point of each patch to each lamp, (N, n_points, n_lamps), and which points lie outside solids,
+    (N, n_points) bool: a patch half under a cabinet has the light of its other half."""
     p = _patch_points(n_points, sobol(n_points), shifts(len(mesh), n_points, seed + 2000), mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf,
                       surface.origin, surface.axes)
-    factor = direct(surface, lamps, p, side_normals(surface), np.repeat(mesh.side, n_points), n_lamps, n_samples=n_samples, seed=seed)
-    return factor.reshape(len(mesh), n_points, n_lamps)
+    normals = side_normals(surface)
+    normal_idx = np.repeat(mesh.side, n_points)
+    factor = direct(surface, lamps, p, normals, normal_idx, n_lamps, n_samples=n_samples, seed=seed)
+    open_ = np.ones(len(p), bool)
+    if surface.inside.any():
+        n = normals[normal_idx]
+        triangle, _ = surface.caster.closest(np.hstack([p + OFFSET * n, n]).astype(np.float32))
+        f = surface.facet[triangle]
+        back = np.einsum("ij,ij->i", n, surface.normal[f]) > 0
+        open_ = (triangle < 0) | ~surface.inside[2 * f + back]
+    return factor.reshape(len(mesh), n_points, n_lamps), open_.reshape(len(mesh), n_points)
 
 
-def direct_spread(surface, mesh, lamps, *, n_points, seed=0):
-    """Mean and standard deviation over each patch of the light of all lamps at equal power, (N,) each."""
+def mean_over_open(factor, is_open):
+    """Mean over the points outside solids, (N, n_lamps); 0 where there is none."""
+    return (factor * is_open[:, :, None]).sum(axis=1) / np.maximum(is_open.sum(axis=1), 1)[:, None]
+
+
+@njit(cache=True, parallel=True)
+def _quadrants(rays, n, hit, light, side, middle, origin, axes, out, noise):
+    """Mean light arriving at each quadrant of each patch from its rays, (N, 4) NaN where no ray starts, and the
+    variance of that mean. middle : (N, 2) of the cell, facet coordinates; light : (N,) radiosity."""
+    for i in prange(len(side)):
+        f = side[i] >> 1
+        total, square, count = np.zeros(4), np.zeros(4), np.zeros(4)
+        for k in range(i * n, (i + 1) * n):
+            if hit[k] == DROPPED:
+                continue
+            u, v = 0.0, 0.0
+            for d in range(3):
+                x = rays[k, d] - origin[f, d]
+                u += x * axes[f, 0, d]
+                v += x * axes[f, 1, d]
+            q = 2 * (u > middle[i, 0]) + (v > middle[i, 1])
+            value = light[hit[k]] if hit[k] >= 0 else 0.0
+            total[q] += value
+            square[q] += value * value
+            count[q] += 1
+        for q in range(4):
+            if count[q] > 0:
+                out[i, q] = total[q] / count[q]
+                noise[i, q] = max(square[q] / count[q] - out[i, q] ** 2, 0.0) / count[q]
+
+
+def light_spread(surface: Surface, mesh: Mesh, middle, lamps, *, n_rays, seed=0):
+    """How unevenly each patch is lit: mean irradiance (N,) and the standard deviation between the means of its four
+    quadrants (N,), sampling noise taken off, in a scene of reflectance 0.5 with all lamps at equal power.
+
+    middle : (N, 2) where the cells would be split, facet coordinates
+    """
+    from lib import radiosity
     n_lamps = 1 + max(lamp.lamp for lamp in lamps)
-    light = patch_direct(surface, mesh, lamps, n_lamps, n_points=n_points, seed=seed).sum(axis=2)
-    return light.mean(axis=1), light.std(axis=1)
+    n_points = min(16, n_rays)
+    ray_start = np.arange(len(mesh) + 1, dtype=np.int64) * n_rays
+    points, shift = sobol(n_rays), shifts(len(mesh), n_rays, seed)
+    rays_, hits = [], []
+    step = max(1, CHUNK // n_rays)
+    for a in range(0, len(mesh), step):
+        r = _patch_rays(a, min(len(mesh), a + step), n_rays, points, shift, mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf,
+                        surface.origin, surface.axes, surface.normal)
+        rays_.append(r)
+        hits.append(_trace(surface, mesh, r)[0])
+    r, hit = np.concatenate(rays_), np.concatenate(hits)
+    rows = _count(hit, ray_start, 0, len(mesh), len(mesh))
+    # direct light at the starts of the first rays of each patch
+    first = (np.arange(len(mesh))[:, None] * n_rays + np.arange(n_points)).ravel()
+    factor = direct(surface, lamps, r[first, :3].astype(float), side_normals(surface), np.repeat(mesh.side, n_points), n_lamps,
+                    n_samples=4, seed=seed).sum(axis=1)
+    is_open = hit[first] != DROPPED
+    D = np.bincount(np.repeat(np.arange(len(mesh)), n_points), factor * is_open, minlength=len(mesh)) \
+        / np.maximum(is_open.reshape(-1, n_points).sum(axis=1), 1)
+    F = rows.matrix()
+    b, _, _ = radiosity.gmres(lambda X: X - np.float32(0.5) * (F @ X), (0.5 * D[:, None]).astype(np.float32), tolerance=1e-3)
+    mean = np.full((len(mesh), 4), np.nan)
+    noise = np.full((len(mesh), 4), np.nan)
+    _quadrants(r, n_rays, hit, b[:, 0].astype(float), mesh.side, middle, surface.origin, surface.axes, mean, noise)
+    relative = r[first, :3] - surface.origin[mesh.side // 2].repeat(n_points, axis=0)
+    axes = surface.axes[mesh.side // 2].repeat(n_points, axis=0)
+    at = np.einsum("nd,nad->na", relative, axes) > middle.repeat(n_points, axis=0)
+    cell = 4 * np.repeat(np.arange(len(mesh)), n_points) + 2 * at[:, 0] + at[:, 1]
+    count = np.bincount(cell, is_open, minlength=4 * len(mesh)).reshape(-1, 4)
+    total = np.bincount(cell, factor * is_open, minlength=4 * len(mesh)).reshape(-1, 4)
+    mean += np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    known = np.isfinite(mean)
+    several = known.sum(axis=1) >= 2
+    middle_value = np.where(known, mean, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    spread = (np.where(known, mean - middle_value[:, None], 0) ** 2 - np.where(known, noise, 0)).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return D + F @ b[:, 0], np.where(several, np.sqrt(np.maximum(spread, 0)), 0)
 
 
-def mean_direct(light, area):
-    """Area mean of the direct light: the yardstick of the subdivision."""
-    return float(np.sum(light * area) / np.sum(area))
+# -- formfactors.npz
+
+@dataclass(frozen=True)
+class Factors:
+    """What formfactors.npz holds: the patches, the factors between them, and those to the lamps."""
+    mesh: Mesh
+    rows: Rows
+    lamp_factor: np.ndarray      # (N, L)
+    lamps: tuple                 # names, in the order of the columns
+    patch_group: np.ndarray      # (N,) int32, numbers of `groups`
+    groups: tuple
+    group_area_m2: np.ndarray    # (G,)
+    diagonal_m: float
+
+    @property
+    def area(self):
+        """(N,) local, the part of each patch outside solids."""
+        return self.mesh.area * self.rows.exposed
+
+
+def write(path, factors: Factors):
+    from dataclasses import fields
+    from lib import artefact
+    arrays = {f"mesh_{f.name}": getattr(factors.mesh, f.name) for f in fields(Mesh)}
+    arrays |= {f"rows_{f.name}": getattr(factors.rows, f.name) for f in fields(Rows)}
+    artefact.write_npz(path, **arrays, lamp_factor=factors.lamp_factor, lamps=np.array(factors.lamps, str), groups=np.array(factors.groups, str),
+                       patch_group=factors.patch_group, group_area_m2=factors.group_area_m2, diagonal_m=factors.diagonal_m)
+
+
+def read(path) -> Factors:
+    """BadInput where an array is missing or holds a NaN."""
+    from dataclasses import fields
+    from lib import artefact
+    from lib.stage import BadInput
+    names = [f"mesh_{f.name}" for f in fields(Mesh)] + [f"rows_{f.name}" for f in fields(Rows)]
+    a = artefact.read_npz(path, *names, "lamp_factor", "lamps", "groups", "patch_group", "group_area_m2", "diagonal_m")
+    for name, array in a.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise BadInput(f"{path}: {name}: holds a value that is not finite")
+    rows = {f.name: a[f"rows_{f.name}"] for f in fields(Rows)}
+    rows["columns"] = int(rows["columns"])
+    return Factors(Mesh(**{f.name: a[f"mesh_{f.name}"] for f in fields(Mesh)}), Rows(**rows), a["lamp_factor"],
+                   tuple(map(str, a["lamps"])), a["patch_group"], tuple(map(str, a["groups"])), a["group_area_m2"], float(a["diagonal_m"]))
+
+
+def warm_up():
+    """Load or compile every kernel on a box with a lamp and a table, so that a stage's times are those of its work."""
+    from types import SimpleNamespace
+    from lib import mesh as meshes
+    quads = [((0, 0, 0), (1, 0, 0), (0, 1, 0)), ((0, 0, 1), (0, 1, 0), (1, 0, 0)), ((0, 0, 0), (0, 1, 0), (0, 0, 1)),
+             ((1, 0, 0), (0, 0, 1), (0, 1, 0)), ((.3, .3, .9), (0, .3, 0), (.3, 0, 0)), ((.3, .3, .5), (.3, 0, 0), (0, .3, 0))]
+    vertices, triangles, normal = [], [], []
+    for k, (o, a, b) in enumerate(np.array(q, float) for q in quads):
+        vertices += [o, o + a, o + a + b, o + b]
+        triangles += [[4 * k, 4 * k + 1, 4 * k + 2], [4 * k, 4 * k + 2, 4 * k + 3]]
+        n = np.cross(a, b)
+        normal.append(n / np.linalg.norm(n))
+    group = np.array([0, 0, 0, 0, 1, 0], np.int32)
+    model = SimpleNamespace(vertices=np.array(vertices), triangles=np.array(triangles), triangle_facet=np.repeat(np.arange(6), 2).astype(np.int32),
+                            facet_normal=np.array(normal), facet_group=group, facet_object=np.zeros(6, np.int32), groups=("wall", "lamp"),
+                            solid_objects=lambda: np.array([False]))
+    surface = meshes.surface(model, ["lamp"])
+    lamps = emitters(surface, ["lamp"])
+    mesh = meshes.build(surface, patches=20, max_level=1, contrast=0.1, emitters=lamps)
+    rays(surface, mesh, n_rays=16)
+    patch_direct(surface, mesh, lamps, 1, n_points=4)
+    gather(surface, mesh, mesh.centre, np.arange(len(mesh) + 1), mesh.side, np.full(len(mesh), 16))

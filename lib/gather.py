@@ -87,3 +87,40 @@ def build(surface: Surface, mesh: Mesh, camera, facet, used, lamps, n_lamps, *, 
     n_rays = (2 ** np.ceil(np.log2(np.minimum(wanted, 4096)))).astype(np.int64)
     rows = form_factors.gather(surface, mesh, p, start, side[first] if len(first) else side, n_rays, seed=5, progress=progress)
     return Tiles(tile_facet, start, pixel, direct, sigma, rows)
+
+
+# -- gather.npz
+
+@dataclass(frozen=True)
+class Gathered:
+    """What gather.npz holds: the tiles, the photograph's pixels in them, and which groups the photograph shows."""
+    tiles: Tiles
+    pixels: np.ndarray         # (M, C) display (linear: EXR), in the order of tiles.pixel
+    group: np.ndarray          # (T,) int32
+    object: np.ndarray         # (T,) int32
+    visible: np.ndarray        # (G,) pixels that show each group, trusted or not
+    linear: bool               # the photograph is linear (EXR)
+    channels_in_file: int
+
+
+def write(path, gathered: Gathered):
+    from dataclasses import fields
+    from lib import artefact
+    tiles = gathered.tiles
+    arrays = {f"rows_{f.name}": getattr(tiles.rows, f.name) for f in fields(form_factors.Rows)}
+    arrays |= {f"tiles_{f.name}": getattr(tiles, f.name) for f in fields(Tiles) if f.name != "rows"}
+    arrays |= {f.name: getattr(gathered, f.name) for f in fields(Gathered) if f.name != "tiles"}
+    artefact.write_npz(path, **arrays)
+
+
+def read(path) -> Gathered:
+    from dataclasses import fields
+    from lib import artefact
+    rows = [f.name for f in fields(form_factors.Rows)]
+    of_tiles = [f.name for f in fields(Tiles) if f.name != "rows"]
+    more = [f.name for f in fields(Gathered) if f.name != "tiles"]
+    a = artefact.read_npz(path, *(f"rows_{n}" for n in rows), *(f"tiles_{n}" for n in of_tiles), *more)
+    arrays = {n: a[f"rows_{n}"] for n in rows}
+    arrays["columns"] = int(arrays["columns"])
+    tiles = Tiles(**{n: a[f"tiles_{n}"] for n in of_tiles}, rows=form_factors.Rows(**arrays))
+    return Gathered(tiles, a["pixels"], a["group"], a["object"], a["visible"], bool(a["linear"]), int(a["channels_in_file"]))

@@ -5,9 +5,9 @@ only if light can reach it: not the inside of a solid, and not a side from which
 patches of a side are the leaves of a quadtree over the facet's bounding rectangle, clipped by the facet, so
 areas are exact for any polygon and a hit is located by one look into the side's table of finest cells.
 
-Subdivision is finer where patch-constant light would be wrong: across shadow edges (the direct light is
-sampled inside the cell) and near contacts (Ward's harmonic mean distance of what the cell sees), coarse
-where the light is smooth.
+Subdivision is finer where patch-constant light would be wrong: a cell is split where its quadrants are unevenly
+lit (shadow edges, contacts, gaps), measured with the rays of a first coarse balance, and stays coarse where the
+light is smooth.
 """
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Mesh:
     table_start: np.ndarray      # (2 F,) int64 into leaf; -1: the side has no patches
     table_shape: np.ndarray      # (2 F, 2) int32 finest cells along the two axes
     leaf: np.ndarray             # (...,) int32 patch of each finest cell, -1 outside the facet
-    size: np.ndarray             # (N,) edge of the cell, local
+    parent: np.ndarray           # (N,) int32, numbers the cells one level up: what a coarser mesh would not tell apart
 
     def __len__(self):
         return len(self.side)
@@ -123,7 +123,7 @@ def _inside(model, local, corners, facet, normal, lamp_facet):
     first = np.unique(facet, return_index=True)[1]
     middle = corners[first].mean(axis=1)
     direction = np.array([0.5377, 0.6339, 0.5560])       # no axis, no diagonal
-    for obj in model.solid_objects():
+    for obj in np.flatnonzero(model.solid_objects()):
         mine = np.flatnonzero(model.facet_object == obj)
         one = Caster(corners[np.isin(facet, mine)])
 
@@ -260,13 +260,13 @@ class _Tree:
         children = children[np.diff(self.cut(children)[0]) > 0]
         self.leaves = np.concatenate([self.leaves[~flags], children])
 
+    def sort(self):
+        self.leaves = self.leaves[np.lexsort((self.leaves[:, 3], self.leaves[:, 2], self.leaves[:, 1], self.leaves[:, 0]))]
+
     def mesh(self) -> Mesh:
-        surface = self.surface
-        order = np.lexsort((self.leaves[:, 3], self.leaves[:, 2], self.leaves[:, 1], self.leaves[:, 0]))
-        leaves = self.leaves[order]
+        surface, leaves = self.surface, self.leaves
         start, pieces, cdf, area = self.cut(leaves)
         side, level = leaves[:, 0], leaves[:, 1]
-        cells = self.cells(leaves)
         finest = np.zeros(len(self.root), np.int64)
         np.maximum.at(finest, side, level)
         shape = self.root * (1 << finest)[:, None]
@@ -280,8 +280,9 @@ class _Tree:
         weight[start[:-1]] = cdf[start[:-1]]
         middle = np.add.reduceat(pieces.mean(axis=1) * weight[:, None], start[:-1], axis=0)
         centre = surface.origin[f] + middle[:, :1] * surface.axes[f, 0] + middle[:, 1:] * surface.axes[f, 1]
-        size = np.sqrt((cells[:, 3] - cells[:, 1]) * (cells[:, 4] - cells[:, 2]))
-        return Mesh(side.astype(np.int32), area, centre, start, pieces, cdf, table, shape.astype(np.int32), leaf, size)
+        above = np.stack([side, level, leaves[:, 2] >> 1, leaves[:, 3] >> 1], axis=1)
+        parent = np.unique(above, axis=0, return_inverse=True)[1].reshape(-1)
+        return Mesh(side.astype(np.int32), area, centre, start, pieces, cdf, table, shape.astype(np.int32), leaf, parent.astype(np.int32))
 
 
 @njit(cache=True)
@@ -302,67 +303,45 @@ def live_sides(surface: Surface) -> np.ndarray:
     candidates = np.flatnonzero(~surface.inside)
     tree = _Tree(surface, candidates, coarse=float(surface.size.max()) / 4)
     mesh = tree.mesh()
-    seen = form_factors.probe(surface, mesh, n_rays=32)[0]
+    seen = form_factors.probe(surface, mesh, n_rays=32)
     return np.unique(mesh.side[seen > 0])
 
 
-def build(surface: Surface, *, patches, max_level, contrast, contact, emitters=(), uniform=False) -> Mesh:
-    """Cut the lit sides into about `patches` root cells (in area), then refine where the light is not smooth.
+def build(surface: Surface, *, patches, max_level, contrast, emitters=(), n_rays=64, uniform=False) -> Mesh:
+    """Cut the lit sides into about `patches` root cells (in area), then refine where the light is uneven.
 
     patches : root cells if all cells had equal area; a small facet always has at least one
     max_level : times a root cell may be halved
-    contrast : split a cell whose direct light varies by more than this share of the scene's mean (times the
-               cell's share of the scene's area, so that large cells are judged more strictly)
-    contact : split a cell larger than this times the harmonic mean distance of what it sees
+    contrast : split a cell if area x (standard deviation of the irradiance between its quadrants) exceeds this
+               share of the mean irradiance of the scene times the mean area of a root cell
     uniform : no adaptation; every root cell is halved `max_level` times (for comparison)
     """
     from lib import form_factors
     sides = live_sides(surface)
     if len(sides) == 0:
         raise ValueError("no facet sees another: there is no light to balance")
-    tree_area = sum(_facet_areas(surface)[sides // 2])
-    coarse = np.sqrt(tree_area / patches)
-    tree = _Tree(surface, sides, coarse)
-    if uniform:
-        for _ in range(max_level):
-            tree.split(np.ones(len(tree.leaves), bool))
-        return tree.mesh()
-    fresh = np.ones(len(tree.leaves), bool)
+    area = float(facet_areas(surface)[sides // 2].sum())
+    tree = _Tree(surface, sides, np.sqrt(area / patches))
     for level in range(max_level):
-        part = _sub_mesh(tree, fresh)
-        seen, harmonic = form_factors.probe(surface, part, n_rays=64, seed=level)
-        flags = part.size > contact * harmonic
-        if emitters:
-            # what a patch-constant value gets wrong: the spread of the direct light over the cell
-            mean, spread = form_factors.direct_spread(surface, part, emitters, n_points=16, seed=level)
-            reference = form_factors.mean_direct(mean, part.area) if level == 0 else reference
-            flags |= spread * np.sqrt(part.area) > contrast * reference * np.sqrt(tree_area / patches)
-        flags &= seen > 0
+        flags = np.ones(len(tree.leaves), bool)
+        if not uniform:
+            if not emitters:
+                break
+            tree.sort()
+            mesh = tree.mesh()
+            cells = tree.cells()
+            middle = (cells[:, 1:3] + cells[:, 3:5]) / 2
+            mean, spread = form_factors.light_spread(surface, mesh, middle, emitters, n_rays=n_rays, seed=level)
+            yardstick = float((mean * mesh.area).sum() / area) * area / patches
+            flags = (mesh.area * spread > contrast * yardstick) & (tree.leaves[:, 1] == level)
         if not flags.any():
             break
-        everything = np.zeros(len(tree.leaves), bool)
-        everything[np.flatnonzero(fresh)[_order_of(tree, fresh)][flags]] = True
-        n_kept = int((~everything).sum())
-        tree.split(everything)
-        fresh = np.arange(len(tree.leaves)) >= n_kept
+        tree.split(flags)
+    tree.sort()
     return tree.mesh()
 
 
-def _order_of(tree, fresh):
-    leaves = tree.leaves[fresh]
-    return np.lexsort((leaves[:, 3], leaves[:, 2], leaves[:, 1], leaves[:, 0]))
-
-
-def _sub_mesh(tree, fresh) -> Mesh:
-    """The fresh leaves as a mesh of their own (its table is not used)."""
-    keep, tree.leaves = tree.leaves, tree.leaves[fresh]
-    try:
-        return tree.mesh()
-    finally:
-        tree.leaves = keep
-
-
-def _facet_areas(surface):
+def facet_areas(surface):
     v = surface.corners
     a = 0.5 * np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
     return np.bincount(surface.facet, a, minlength=len(surface.normal))

@@ -6,12 +6,9 @@ factors do not change under that map; lengths and areas are multiplied back wher
 """
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
-
-os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")     # the TBB of most systems is too old for numba, which then warns
 
 OFFSET = 1e-5     # how far a ray starts above its facet, in diagonals of the model; float32 resolves 6e-8
 

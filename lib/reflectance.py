@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lib import radiosity
-from lib.transfer import Metric, Transfer, tile_means
+from lib.transfer import Metric, Tiles, Transfer
 
 DENSE_LIMIT = 6000      # patches up to which F is kept dense: BLAS is then faster than sparse products
 
@@ -47,6 +47,9 @@ class Problem:
     halves: tuple = ()           # (G0, G1, F0, F1): the same from disjoint rays
     group_area: np.ndarray = None
 
+    def __post_init__(self):
+        self.photograph = Tiles(self.pixels, self.start)
+
     @property
     def channels(self):
         return self.pixels.shape[1]
@@ -73,11 +76,12 @@ class Result:
     converged: bool
     iterations: int
     rmse: float
-    covariance: dict = field(default_factory=dict)
     sigma_rho: np.ndarray = None
     sigma_E: np.ndarray = None
     sigma_gamma: float = None
-    assumed: np.ndarray = None       # (G,) bool: the value is the prior's
+    tile_residual: np.ndarray = None     # (T, C) display, synthesis minus photograph
+    residual: float = None               # of the light balance
+    shares: dict = field(default_factory=dict)   # median relative sigma by cause
     warnings: list = field(default_factory=list)
 
 
@@ -89,6 +93,7 @@ class Light:
         F = problem.F if F is None else F
         self.G = problem.G if G is None else G
         self.F = F.toarray() if hasattr(F, "toarray") and F.shape[0] <= DENSE_LIMIT else F
+        self.derivative = None       # of the last linearisation: where the next block solve starts
 
     def _apply(self, scale):
         """scale : (N, K) rho of each patch in each column."""
@@ -118,7 +123,7 @@ def _metric(problem, gamma):
 
 
 def _observe(problem, gamma):
-    return tile_means(problem.pixels, problem.start, _metric(problem, gamma).transfer)
+    return problem.photograph.linear(_metric(problem, gamma).transfer)
 
 
 def _group_mean(problem, values, weights=None):
@@ -190,7 +195,9 @@ def _jacobian(problem, light, layout, state, irradiance):
         rhs[:, k] = np.where(problem.patch_group == g, irradiance[:, c], 0)
     for k, (lamp, c) in enumerate(layout.E):
         rhs[:, n_rho + k] = scale[:, c] * problem.D[:, lamp]
-    db, _, _ = radiosity.gmres(light._apply(scale[:, channel]), rhs, tolerance=1e-4)
+    # the exact residual decides where the iteration ends; its derivative only how fast
+    db, _, _ = radiosity.gmres(light._apply(scale[:, channel]), rhs, tolerance=3e-3, x0=light.derivative)
+    light.derivative = db
     reaching = light.G @ db                                                             # (T, n)
     rho_tile = state.rho[problem.tile_group]
     tile_irradiance = light.tiles(state.rho, state.E, state.b)
@@ -303,7 +310,7 @@ def gauss_newton(problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e
             break
         state, irradiance, residual, slope, by_gamma = trial
         converged = bool(np.max(np.abs(step) / np.maximum(np.abs(theta), 0.05)) < tolerance)
-    result = Result(state, converged, iteration, rmse)
+    result = Result(state, converged, iteration, rmse, tile_residual=residual, residual=light.residual)
     _uncertainty(problem, light, layout, result, residual, slope, by_gamma, irradiance, noise)
     return result
 
@@ -402,6 +409,7 @@ def _uncertainty(problem, light, layout, result, residual, slope, by_gamma, irra
                 relative[mine] = np.maximum(np.abs(ratio[mine]), floor)
         sigma = relative * np.maximum(np.abs(theta), 0.02)
         cov = cov + np.diag(sigma ** 2)
+        result.shares[name] = float(np.median(relative[:len(layout.rho)])) if len(layout.rho) else 0.0
     sigma = np.sqrt(np.maximum(np.diag(cov), 0))
     shape = state.rho.shape
     result.sigma_rho = np.zeros(shape)
@@ -409,7 +417,27 @@ def _uncertainty(problem, light, layout, result, residual, slope, by_gamma, irra
     result.sigma_E = np.zeros(state.E.shape)
     result.sigma_E[tuple(layout.E.T)] = sigma[len(layout.rho):len(layout.rho) + len(layout.E)]
     result.sigma_gamma = float(sigma[-1]) if layout.gamma else None
-    result.covariance = {"terms": {k: v for k, v in terms.items()}}
+
+
+def scale(problem) -> str:
+    """What fixes the scale of the light (SCENE.md 4)."""
+    if not np.isnan(problem.emittance).all():
+        return "lamps"
+    given = ~np.isnan(problem.rho).any(axis=1)
+    named = [g for g in np.flatnonzero(given) if problem.groups[g] not in problem.lamps]
+    return "reference" if named else "interreflection"
+
+
+def fit(problem: Problem, **options):
+    """`gauss_newton`, and what fixed the scale. Where interreflection alone would have to and cannot (the lamps'
+    sigma is half their value or more), the lamps are set to 1 by convention and the rest is fitted again."""
+    fixed_by = scale(problem)
+    result = gauss_newton(problem, **options)
+    if fixed_by == "interreflection" and len(problem.tile_group) and (result.sigma_E > 0.5 * result.state.E).any():
+        result = gauss_newton(replace(problem, emittance=np.ones_like(problem.emittance)), **options)
+        result.warnings.append("interreflection is too weak here to fix the scale: emittance 1 by convention")
+        fixed_by = "convention"
+    return result, fixed_by
 
 
 # -- the paper's alternation
@@ -436,6 +464,11 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=None, threshold
         np.add.at(total, tile_pair, values * n[:, None])
         return total / m_pair
 
+    def finish(state, converged):
+        metric = _metric(problem, state.gamma)
+        residual = metric.value(state.B) - metric.value(_observe(problem, state.gamma)[0])
+        return Result(state, converged, iteration, _rmse(problem, residual), tile_residual=residual, residual=light.residual)
+
     for outer in range(max_outer):
         settled = False
         for inner in range(max_inner):
@@ -448,7 +481,7 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=None, threshold
                 trace(iteration=iteration, image_rmse=_rmse(problem, residual), state=state)
             iteration += 1
             if not np.isfinite(state.B).all():
-                return Result(state, False, iteration, float("inf"))
+                return finish(state, False)
             if damped:
                 epsilon = object_mean(seen) / np.maximum(object_mean(state.B), 1e-12)
             else:
@@ -470,7 +503,7 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=None, threshold
             change = np.max(np.abs(new - rho) / np.maximum(rho, 1e-6))
             rho = new
             if change > 1e3 or rho.max() > 1.5:
-                return Result(replace(state, rho=np.clip(rho, 0, 1)), False, iteration, float("inf"))
+                return finish(light.render(np.clip(rho, 0, 0.999), E, gamma), False)
             if change < threshold:
                 settled = True
                 break
@@ -484,9 +517,7 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=None, threshold
             gamma = better
             break
         gamma = better
-    state = light.render(rho, E, gamma, x0)
-    residual = _metric(problem, gamma).value(state.B) - _metric(problem, gamma).value(_observe(problem, gamma)[0])
-    return Result(state, converged, iteration, _rmse(problem, residual))
+    return finish(light.render(rho, E, gamma, x0), converged)
 
 
 def _group_correction(epsilon, pixels, symmetric):
@@ -510,7 +541,7 @@ def _group_correction(epsilon, pixels, symmetric):
 def _best_gamma(problem, B, gamma):
     """Gradient search on eq. 4.1 over gamma with B fixed; the photograph's tile means are in display values."""
     count = problem.n_pixels[:, None]
-    display = np.add.reduceat(problem.pixels, problem.start[:-1], axis=0) / count
+    display = problem.photograph.display()
     B = np.clip(B, 1e-9, 1)
     logB = np.log(B)
     for _ in range(100):

@@ -65,15 +65,41 @@ class Metric:
         return self.exponent * B ** (self.exponent - 1)
 
 
-def tile_means(pixels, start, transfer: Transfer):
-    """Linear mean of each tile: mean(T^-1(I)), never T^-1(mean(I)) (Jensen; DESIGN 7, trap 2), and its derivative
-    with respect to gamma. pixels : (M, C) display;  start : (T + 1,) -> (T, C), (T, C)."""
-    count = np.diff(start)[:, None]
-    if transfer.kind == "gamma":
-        levels, index = np.unique(pixels, return_inverse=True)
+class Tiles:
+    """The photograph's pixels tile by tile; asked for linear means at many gammas, so its levels are found once.
+
+    pixels : (M, C) display;  start : (T + 1,)
+    """
+
+    def __init__(self, pixels, start):
+        self.count = np.diff(start)[:, None]
+        self.start = start
+        self.pixels = pixels
+        scaled = pixels * 65535
+        if len(pixels) and np.array_equal(scaled, np.round(scaled)):
+            self._levels = np.arange(65536) / 65535
+            self._index = scaled.astype(np.uint16)
+        else:
+            self._levels = None
+
+    def _mean(self, values):
+        if len(self.pixels) == 0:
+            return np.zeros((0, self.pixels.shape[1]))
+        return np.add.reduceat(values, self.start[:-1], axis=0) / self.count
+
+    def linear(self, transfer: Transfer):
+        """Linear mean of each tile: mean(T^-1(I)), never T^-1(mean(I)) (Jensen; DESIGN 7, trap 2), and its
+        derivative with respect to gamma. -> (T, C), (T, C)."""
+        if transfer.kind != "gamma":
+            mean = self._mean(transfer.linear(self.pixels))
+            return mean, np.zeros_like(mean)
+        levels = self.pixels if self._levels is None else self._levels
         power = levels ** transfer.gamma
         slope = power * np.log(np.maximum(levels, 1e-30))
-        index = index.reshape(pixels.shape)
-        return (np.add.reduceat(power[index], start[:-1], axis=0) / count, np.add.reduceat(slope[index], start[:-1], axis=0) / count)
-    mean = np.add.reduceat(transfer.linear(pixels), start[:-1], axis=0) / count
-    return mean, np.zeros_like(mean)
+        if self._levels is not None:
+            power, slope = power[self._index], slope[self._index]
+        return self._mean(power), self._mean(slope)
+
+    def display(self):
+        """Mean display value of each tile, (T, C)."""
+        return self._mean(self.pixels)

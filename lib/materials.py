@@ -1,0 +1,116 @@
+"""materials.json: from stored light and facts to the inverse problem, and from its solution to the file (SCENE.md 4)."""
+from __future__ import annotations
+
+import numpy as np
+
+from lib import reflectance
+from lib.stage import BadInput
+from lib.transfer import Metric, Transfer
+
+FITTED_AS_LINEAR = ("linear_per_group", "histogram", "histogram_per_group")     # the transfer is the finished picture's
+
+
+def transfer_of(transfer, linear_photograph) -> Transfer:
+    """The transfer function that scene.yaml names, with gamma's usual start where it is to be found."""
+    if transfer is None:
+        transfer = "linear" if linear_photograph else "gamma"
+    if isinstance(transfer, dict):
+        return Transfer("gamma", float(transfer["gamma"]))
+    if transfer == "gamma":
+        return Transfer("gamma", 2.2)
+    if transfer == "linear" or transfer in FITTED_AS_LINEAR:
+        return Transfer("linear")
+    if transfer == "srgb":
+        return Transfer("srgb")
+    raise BadInput(f"transfer: {transfer!r} is not built yet")
+
+
+def _channels(value, channels, name):
+    value = np.atleast_1d(np.asarray(value, float))
+    if channels == 1 and len(value) == 3:
+        if np.ptp(value) > 1e-6 * max(1e-12, abs(value).max()):
+            raise BadInput(f"{name}: {value.tolist()} is coloured, but the photograph has one channel")
+        value = value[:1]
+    if len(value) not in (1, channels):
+        raise BadInput(f"{name}: {value.tolist()} has not one value per channel")
+    return np.broadcast_to(value, channels)
+
+
+def problem(factors, gathered, *, lamps, reference, transfer) -> reflectance.Problem:
+    """Facts and light as one inverse problem. lamps : {name: [E per channel] or "unknown"}; reference : {group: rho}."""
+    groups, channels = factors.groups, gathered.pixels.shape[1]
+    missing = [f"reference: group {name!r} is not in the model" for name in reference if name not in groups]
+    missing += [f"lamps: {name!r}: formfactors.npz has no factors for it" for name in lamps if name not in factors.lamps]
+    missing += [f"lamps: {name!r} has factors in formfactors.npz but no emittance" for name in factors.lamps if name not in lamps]
+    if missing:
+        raise BadInput(*missing)
+    E = np.full((len(factors.lamps), channels), np.nan)
+    for k, name in enumerate(factors.lamps):
+        value = lamps[name]
+        if isinstance(value, str):
+            continue
+        E[k] = _channels(value, channels, f"lamps.{name}")
+    rho = np.full((len(groups), channels), np.nan)
+    for name in factors.lamps:
+        rho[groups.index(name)] = 0
+    for name, value in reference.items():
+        rho[groups.index(name)] = _channels(value, channels, f"reference.{name}")
+    tiles = gathered.tiles
+    model = transfer_of(transfer, gathered.linear)
+    fit_gamma = model.kind == "gamma" and not isinstance(transfer, dict)
+    return reflectance.Problem(
+        F=factors.rows.matrix(), D=factors.lamp_factor, patch_group=factors.patch_group, area=factors.area, parent=factors.mesh.parent,
+        G=tiles.rows.matrix(), D_tile=tiles.direct, tile_group=gathered.group, tile_object=gathered.object, start=tiles.start,
+        pixels=gathered.pixels, groups=groups, lamps=factors.lamps, emittance=E, rho=rho, metric=Metric(model), fit_gamma=fit_gamma,
+        halves=(tiles.rows.matrix(0), tiles.rows.matrix(1), factors.rows.matrix(0), factors.rows.matrix(1)), group_area=factors.group_area_m2)
+
+
+def _three(values):
+    return [float(v) for v in np.broadcast_to(values, 3)]
+
+
+def describe(problem, result, gathered, *, scale, transfer) -> dict:
+    """The content of materials.json. One-channel results stand three times."""
+    state = result.state
+    seen = np.isin(np.arange(len(problem.groups)), problem.tile_group)
+    reached = np.isin(np.arange(len(problem.groups)), problem.patch_group)
+    errors = reflectance.group_rmse(problem, result.tile_residual)
+    groups = {}
+    for g, name in enumerate(problem.groups):
+        if name in problem.lamps:
+            continue
+        known = not np.isnan(problem.rho[g]).any()
+        identified = bool(known or seen[g])
+        sigma = None if result.sigma_rho is None or not (seen[g] or known) else _three(result.sigma_rho[g])
+        groups[name] = {
+            "kind": "diffuse",
+            "rho_d": _three(state.rho[g]) if identified else None, "rho_s": [0, 0, 0] if identified else None,
+            "alpha": None, "tangent": None, "texture": None,
+            "assumed": _three(state.rho[g]) if not identified and reached[g] else None,
+            "sigma": {"rho_d": sigma},
+            "pixels": int(gathered.visible[g]),
+            "error": float(errors[g]) if seen[g] else None,
+            "identified": identified}
+    lamps = {name: {"emittance": _three(state.E[k]),
+                    "sigma": None if not np.isnan(problem.emittance[k]).any() or result.sigma_E is None or scale == "convention" else _three(result.sigma_E[k])}
+             for k, name in enumerate(problem.lamps)}
+    kind = transfer if isinstance(transfer, str) else problem.metric.transfer.kind
+    function = {"kind": kind}
+    if kind == "gamma":
+        function |= {"gamma": float(state.gamma), "sigma": result.sigma_gamma}
+    status = "nothing seen" if len(problem.tile_group) == 0 else "converged" if result.converged else "not converged"
+    return {"status": status, "groups": groups, "lamps": lamps, "transfer": function, "scale": scale,
+            "image": {"rmse": float(result.rmse) if np.isfinite(result.rmse) else None, "iterations": int(result.iterations)}}
+
+
+def warnings(problem, found, gathered):
+    """What the user should know of the values, one line each."""
+    lines = []
+    for g, name in enumerate(problem.groups):
+        entry = found["groups"].get(name)
+        if entry and not entry["identified"]:
+            why = "no pixel shows it" if gathered.visible[g] == 0 else f"none of its {gathered.visible[g]} pixels can be trusted"
+            lines.append(f"group {name!r} is not identified: {why}" + ("; the balance assumes the mean of the seen groups" if entry["assumed"] else ""))
+    if found["status"] == "not converged":
+        lines.append("the fit has not converged")
+    return lines
