@@ -315,10 +315,10 @@ def _shell(words):
 
 
 def _lines(argv, width=118):
-    """The command line over several lines, broken before options."""
+    """The command line over several lines, broken before options; one that does not fit on a line, before words."""
     groups = []
     for word in argv:
-        if not groups or (word.startswith("--") and len(groups[-1])):
+        if not groups or word.startswith("--") or len(_shell([*groups[-1], word])) > width - 4:
             groups.append([])
         groups[-1].append(word)
     lines, line = [], ""

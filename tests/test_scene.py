@@ -238,3 +238,9 @@ def test_a_missing_model(folder):
 def test_the_contract_is_the_projects_own_copy():
     text = (ROOT / "data/SCENE.md").read_text()
     assert text.startswith("# The scene contract") and all(f"{key}:" in text for key in scenes.KEYS)
+
+
+def test_every_file_between_stages_is_described():
+    text = (ROOT / "data/SCENE.md").read_text() + (ROOT / "data/FORMATS.md").read_text()
+    files = {file for stage in planning.read_pipeline(ROOT / "pipeline.yaml").values() for file in stage.writes.values()}
+    assert [file for file in sorted(files) if file not in text] == []
