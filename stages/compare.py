@@ -1,0 +1,77 @@
+#!/usr/bin/env python3
+"""The errors against truth, and what every stage says of itself, in one scorecard.
+
+    $ stages/compare.py --scene office --reports build/office/*.report.json --materials build/office/materials.json \
+          --truth data/office/truth/ --scorecard scorecard.csv --comparison compare.json --report compare.report.json
+
+reads   reports       <stage>.report.json, in the order of the pipeline
+        materials, scores (rendered.json), group, object, depth, legend      what came out; each may be missing
+        truth         a folder: materials.json group.png object.png depth.exr legend.json, each as it may be there.
+                      No other stage reads it
+writes  scorecard     scene,stage,error,value,unit,against,wall_s,cpu_s,peak_mb,status
+        comparison    the same errors, and per group and channel the value, the truth, their difference in sigmas
+"""
+import argparse
+import sys
+from pathlib import Path
+
+sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
+from lib import stage
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="scene", help="its name")
+    parser.add_argument("--reports", nargs="*", default=[])
+    for name in ("group", "object", "facet", "legend", "depth", "materials", "rendered", "exr", "scores", "truth"):
+        parser.add_argument(f"--{name}")
+    for name in ("scorecard", "comparison"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--report")
+    return parser
+
+
+def main(opt):
+    from lib import artefact, comparing
+    from lib.report import Report
+
+    truth = Path(opt.truth) if opt.truth else None
+    if truth and not truth.is_dir():
+        raise stage.BadInput(f"{truth}: there is no such folder")
+    true = {p.stem if p.suffix in (".png", ".exr") else p.name: p for p in sorted(truth.iterdir()) if p.is_file()} if truth else {}
+    used = [opt.group, opt.object, opt.depth, opt.legend, opt.materials, opt.scores, *opt.reports,
+            *(true.get(n) for n in ("group", "object", "depth", "legend.json", "materials.json"))]
+    with Report(opt.report, inputs=[p for p in used if p], arguments=vars(opt)) as report:
+        with report.excluded("imports"):
+            from lib import image
+
+        def read(path, reader):
+            return reader(path) if path else None
+
+        def images(paths):
+            readers = {"group": image.read_labels, "object": image.read_labels, "depth": image.read_exr}
+            return {name: readers[name](path) for name, path in paths.items() if name in readers and path}
+
+        reports = comparing.read_reports(opt.reports)
+        ours, theirs = images(vars(opt)), images(true)
+        legend, true_legend = read(opt.legend, comparing.read_legend), read(true.get("legend.json"), comparing.read_legend)
+        for name, names, picture, where in [("group", legend, ours, opt.group), ("group", true_legend, theirs, true.get("group")),
+                                            ("object", legend, ours, opt.object), ("object", true_legend, theirs, true.get("object"))]:
+            if names and name in picture and picture[name].max() > len(names[name + "s"]):
+                raise stage.BadInput(f"{where}: index: {picture[name].max()} is more than the {len(names[name + 's'])} {name}s of the legend")
+        for name in ours.keys() & theirs.keys():
+            if ours[name].shape != theirs[name].shape:
+                report.warning(f"{true[name]}: {theirs[name].shape[1]} x {theirs[name].shape[0]} is not the size of {getattr(opt, name)}: not compared")
+        errors, details = comparing.against_truth(
+            materials=read(opt.materials, comparing.read_materials), truth=read(true.get("materials.json"), comparing.read_materials),
+            reports=reports, images=ours, true_images=theirs, legend=legend, true_legend=true_legend, scores=read(opt.scores, artefact.read_json))
+        for error in errors:
+            report.error(error["name"], error["value"], unit=error["unit"], against=error["against"])
+        rows = comparing.scorecard(opt.scene, reports, errors)
+        with artefact.writing_all(opt.scorecard, opt.comparison) as (scorecard, comparison):
+            comparing.write_scorecard(scorecard, rows)
+            artefact.write_json(comparison, {"scene": opt.scene, "truth": bool(true), "enough_px": comparing.ENOUGH_PX, "errors": errors, **details})
+
+
+if __name__ == "__main__":
+    stage.run(main, options())
