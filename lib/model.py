@@ -313,7 +313,7 @@ def _build(path, vertices, corners, starts, polygon_object, polygon_group, objec
 
     # Area vectors (Newell), relative to the first corner so that nothing cancels far from the origin.
     starts = np.concatenate([[0], np.cumsum(size)])
-    area_vector, _, diameter, height = _polygon_shape(vertices, corners, starts)
+    area_vector, diameter, height = _polygon_shape(vertices, corners, starts)
     area = np.linalg.norm(area_vector, axis=1)
     rounding = 4 * np.finfo(float).eps * np.abs(vertices).max()
     empty = (size < 3) | (area <= 1e-12 * diameter**2 + rounding * diameter)
@@ -344,7 +344,7 @@ def _build(path, vertices, corners, starts, polygon_object, polygon_group, objec
         size, came_from = size[order], came_from[order]
         starts = np.concatenate([[0], np.cumsum(size)])
     thing, material = polygon_object[came_from], polygon_group[came_from]
-    area_vector, middle, diameter, _ = _polygon_shape(vertices, corners, starts)
+    area_vector = _polygon_shape(vertices, corners, starts)[0]
 
     facet, closed = _facets(vertices, position, corners, starts, area_vector, thing, material, len(objects))
 
@@ -412,13 +412,13 @@ def _used(index, names, flags):
 
 
 def _polygon_shape(vertices, corners, starts):
-    """Per polygon: area vector (P, 3), middle (P, 3), diameter of its box (P,), greatest distance from its plane (P,)."""
+    """Per polygon: area vector (P, 3), diameter of its box (P,), greatest distance from its plane (P,)."""
     size = np.diff(starts)
     count = len(size)
-    area_vector, middle, diameter, height = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), np.zeros(count)
+    area_vector, diameter, height = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
     some = np.flatnonzero(size > 0)
     if len(some) == 0:
-        return area_vector, middle, diameter, height
+        return area_vector, diameter, height
     owner = np.repeat(np.arange(count), size)
     origin = np.zeros((count, 3))
     origin[some] = vertices[corners[starts[:-1][some]]]
@@ -430,13 +430,12 @@ def _polygon_shape(vertices, corners, starts):
     low, high = np.minimum.reduceat(p, at), np.maximum.reduceat(p, at)
     diameter[some] = np.linalg.norm(high - low, axis=1)
     mean = np.add.reduceat(p, at) / size[some, None]
-    middle[some] = mean + origin[some]
     length = np.linalg.norm(area_vector, axis=1, keepdims=True)
     n = area_vector / np.where(length > 0, length, 1)
     offset = np.zeros(count)
     offset[some] = np.einsum("ij,ij->i", n[some], mean)
     height[some] = np.maximum.reduceat(np.abs(np.einsum("ij,ij->i", p, n[owner]) - offset[owner]), at)
-    return area_vector, middle, diameter, height
+    return area_vector, diameter, height
 
 
 def _signed_area(vertices, triangles, direction):

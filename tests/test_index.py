@@ -412,10 +412,10 @@ def test_half_of_each_facet():
 
 
 def test_a_small_group_keeps_what_is_honest():
-    """Facet 2 has 600 pixels of which 24 x 14 = ... remain inside: margins and the choice give way, mixed pixels stay out."""
+    """A group of 12 x 20 pixels: margins and the choice give way, so all 10 x 18 that are pure stay; a mixed pixel never does."""
     small = FACET.copy()
     small[small == 2] = 0
-    small[10:22, 10:30] = 2                                                     # 240 pixels, 10 x 18 of them pure
+    small[10:22, 10:30] = 2
     mask = index_buffer.trusted(photo(flat()), small, NO_EDGES, GROUP).mask
     assert (mask & (small == 2)).sum() == 10 * 18
     same_group = index_buffer.trusted(photo(flat()), small, NO_EDGES, np.array([0, 1, 0])).mask
