@@ -388,8 +388,23 @@ def makefile(plan, python, root=ROOT, title=None):
     return head + "\n" + "\n".join(rules), commands
 
 
+def inspect(plan):
+    """The content of commands/checked: which given files were opened and found good; they are not opened again until one changes."""
+    files = {file for name in plan.planned for file in plan.stages[name].reads.values() if plan.scene.given(file)}
+    paths = [path for file in sorted(files) if (path := plan.scene.given(file)).is_file()]
+    names = {key: sorted(getattr(plan.scene, key)) for key in ("lamps", "reference", "surfaces")}
+    content = "\n".join([artefact.dumps_json(names), *map(_stamp, paths)]) + "\n"
+    checked = plan.build / "commands" / "checked"
+    if not (checked.is_file() and checked.read_text(encoding="utf-8") == content):
+        if problems := scenes.inspect(plan.scene, files):
+            raise BadInput(*problems)
+    return {checked: content}
+
+
 def write(plan, python, root=ROOT, title=None):
+    checked = inspect(plan)
     text, commands = makefile(plan, python, root, title)
+    commands |= checked
     plan.build.mkdir(parents=True, exist_ok=True)
     for folder in (plan.build, plan.build / "commands"):
         artefact.remove_partials(folder)

@@ -51,7 +51,7 @@ class Scene:
         if key == "scene":
             return self.name
         if key == "transfer" and self.transfer is None:
-            photograph = self.given("left.png|jpg|tif|exr")
+            photograph = self.given(PHOTOGRAPH)
             return "linear" if photograph and photograph.suffix == ".exr" else "gamma"
         return getattr(self, key)
 
@@ -332,21 +332,48 @@ def lens_of(path):
 
 def _folder(scene):
     """Files that stand in each other's way: two photographs, two models, a folder where a file should be."""
-    for file in ("left.png|jpg|tif|exr", "right.png|jpg|tif|exr", "model.obj|glb"):
+    for file in (PHOTOGRAPH, PHOTOGRAPH.replace("left", "right"), MODEL):
         there = [p.name for p in scene.candidates(file)]
         if len(there) > 1:
             yield f"{scene.folder}: {' and '.join(there)}: only one of them may be given"
         for name in alternatives(file):
             if (scene.folder / name).is_dir():
                 yield f"{scene.folder / name}: is a folder, not a file"
-    groups = model_groups(scene.given("model.obj|glb")) if scene.given("model.obj|glb") else None
+    groups = model_groups(scene.given(MODEL)) if scene.given(MODEL) else None
     if groups:
-        model = scene.given("model.obj|glb").name
-        for key in ("lamps", "reference", "surfaces"):
-            mapping = getattr(scene, key)
-            for name in mapping:
-                if name not in groups:
-                    yield f"{scene.folder / 'scene.yaml'}: {key}.{name}: {show(mapping[name])} names no group of {model}, which has {', '.join(sorted(groups))}"
+        yield from _groups(scene, groups)
+
+
+MODEL, CAMERA, PHOTOGRAPH = "model.obj|glb", "left.posed.cameramodel", "left.png|jpg|tif|exr"
+
+
+def inspect(scene, files):
+    """Open in earnest what lies in the folder, so that bad input is refused before any stage has written anything.
+
+    files : names as in pipeline.yaml, of which those above are opened.  Returns problems, one line each.
+    """
+    from lib import cameras, image, model as models
+    problems, found = [], {}
+    for file, reader in ((MODEL, models.load), (CAMERA, cameras.read_cameramodel), (PHOTOGRAPH, image.read_photograph)):
+        if file in files and (path := scene.given(file)):
+            try:
+                found[file] = reader(path)
+            except BadInput as bad:
+                problems += bad.problems
+    if CAMERA in found and PHOTOGRAPH in found:
+        camera, (height, width) = found[CAMERA], found[PHOTOGRAPH].values.shape[:2]
+        if (width, height) != (camera.width, camera.height):
+            problems.append(f"{scene.given(PHOTOGRAPH)}: size: {width} x {height} is not the camera's {camera.width} x {camera.height} ({scene.given(CAMERA)})")
+    if MODEL in found:
+        problems += _groups(scene, found[MODEL].groups)
+    return problems
+
+
+def _groups(scene, groups):
+    for key in ("lamps", "reference", "surfaces"):
+        for name, value in getattr(scene, key).items():
+            if name not in groups:
+                yield f"{scene.folder / 'scene.yaml'}: {key}.{name}: {show(value)} names no group of {scene.given(MODEL).name}, which has {', '.join(sorted(groups))}"
 
 
 def read(folder, stages):

@@ -229,6 +229,50 @@ def test_a_lens_is_not_built_yet(folder):
     assert refusal(folder, "lamps: {lamp: [1, 1, 1]}") == ["left.posed.cameramodel: lensmodel: LENSMODEL_OPENCV4 is not a pinhole, and undistortion is not built yet"]
 
 
+def spoil(folder, what):
+    """One of the given files is not what it should be; returns what the one line must name."""
+    photograph, model, camera = folder / "left.png", folder / "model.obj", folder / "left.posed.cameramodel"
+    if what == "truncated":
+        photograph.write_bytes(photograph.read_bytes()[:-20])
+        return "left.png: truncated: "
+    if what == "size":
+        camera.write_text(camera.read_text().replace("[ 4, 4 ]", "[ 5, 4 ]"))
+        return "left.png: size: 4 x 4 is not the camera's 5 x 4"
+    if what == "nan":
+        model.write_text(model.read_text().replace("v 1 0 0", "v 1 nan 0"))
+        return "model.obj: line 3: vertex y = nan is not finite"
+    if what == "index":
+        model.write_text(model.read_text().replace("f 1 2 3", "f 1 2 4", 1))
+        return "model.obj: line 6: face index 4 is out of range"
+    if what == "camera":
+        camera.write_text("{ 'lensmodel': ")
+        return "left.posed.cameramodel: not a camera model"
+    model.write_text(model.read_text().replace("usemtl lamp", "usemtl wall"))
+    return "scene.yaml: lamps.lamp: [1, 1, 1] names no group of model.obj, which has light box, wall"
+
+
+@pytest.mark.parametrize("what", ["truncated", "size", "nan", "index", "camera", "group"])
+def test_bad_files_are_refused_before_anything_is_written(folder, refuses, run, what):
+    import numpy as np
+    from lib import image
+    image.write_png8(folder / "left.png", np.full((4, 4, 3), 100))
+    (folder / "scene.yaml").write_text("lamps: {lamp: [1, 1, 1]}")
+    words = ["-m", "lib.plan", "--data", folder.parent, "--build", folder.parent / "build", f"{folder.name}/index"]
+    line = spoil(folder, what)
+    said, = refuses(*words)
+    assert said.startswith(f"plan.py: {folder}/{line}") and not (folder.parent / "build").exists()
+
+
+def test_good_files_are_opened_once(folder, run, monkeypatch):
+    import numpy as np
+    from lib import image
+    image.write_png8(folder / "left.png", np.full((4, 4, 3), 100))
+    (folder / "scene.yaml").write_text("lamps: {lamp: [1, 1, 1]}")
+    planning.write(plan(folder), "python3", folder.parent / "project")
+    monkeypatch.setattr(scenes, "inspect", None)
+    planning.write(plan(folder), "python3", folder.parent / "project")
+
+
 def test_a_missing_model(folder):
     (folder / "model.obj").unlink()
     found, = refusal(folder, "lamps: {lamp: [1, 1, 1]}\ngoals: [materials.json]")
