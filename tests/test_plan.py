@@ -356,3 +356,31 @@ def test_a_stage_takes_the_options_that_the_pipeline_gives_it(name, root):
 def test_a_stage_is_executable_and_refuses_in_one_line(name, root, refuses):
     assert os.access(root / "stages" / f"{name}.py", os.X_OK)
     assert len(refuses(f"stages/{name}.py", "--no-such-option")) == 1
+
+
+# ---- what the system must have ----
+
+def test_what_is_missing_of_the_system(toy, monkeypatch, capsys):
+    """A stage that cannot do without is refused with what to do; one with a way round is only warned about; others are not asked."""
+    from lib import doctor
+    monkeypatch.setitem(doctor.NEEDS, "mrcal", (lambda: False, "apt-get install mrcal", None))
+    monkeypatch.setitem(doctor.NEEDS, "egl", (lambda: False, "apt-get install libegl1", "rays are cast instead"))
+    (toy.folder / "pipeline.yaml").write_text(PIPELINE.replace("params: {lambda: 0.5, wrong: 0}", "needs: [mrcal, egl]"))
+    with pytest.raises(BadInput) as refusal:
+        toy.plan()
+    assert refusal.value.problems == ("mrcal: not installed, and the stage see needs it: apt-get install mrcal",)
+    assert capsys.readouterr().err == "plan.py: warning: see finds no egl: rays are cast instead (apt-get install libegl1)\n"
+    toy.give(**{"camera.txt": "known"})
+    assert toy.plan().planned == ["fit", "compare"] and capsys.readouterr().err == ""
+
+
+def test_the_doctor_says_what_to_do():
+    from lib import doctor
+    for check in (doctor.check_python, doctor.check_make, doctor.check_mrcal, doctor.check_machine):
+        for mark, what, remedy in check():
+            assert mark in ("ok", "--", "!!") and what and (mark == "ok" or remedy)
+
+
+def test_help_names_the_stages(run):
+    said = run("make", "help").stdout
+    assert "stages: calibrate segment match" in said and "make <scene>/<stage>" in said
