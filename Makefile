@@ -6,9 +6,14 @@ MAKEFLAGS += --no-builtin-rules --no-print-directory
 .SUFFIXES:
 .DELETE_ON_ERROR:
 
+ifeq ($(filter grouped-target,$(.FEATURES)),)
+$(error GNU Make 4.3 or newer is needed, this is $(MAKE_VERSION))
+endif
+
 DATA ?= data
 BUILD ?= build
 PYTHON := .venv/bin/python
+PYTHON3 ?= python3
 
 TARGETS := all plan test bench scenes doctor help clean setup demo
 GOALS := $(or $(MAKECMDGOALS),demo)
@@ -89,11 +94,12 @@ setup: .venv/ready
 	  else echo "not root, and no sudo: going on without; apt-get install$$missing" >&2; fi; \
 	fi
 	@echo 'Python packages, from requirements.lock into .venv'
-	python3 -m venv .venv
+	@$(PYTHON3) -c 'import sys; sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]} (PYTHON3=... names another)" if sys.version_info < (3, 11) else 0)'
+	$(PYTHON3) -m venv .venv
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements.lock
 	@touch $@
 
 .venv-scenes/ready: requirements-scenes.lock
-	python3 -m venv .venv-scenes
+	$(PYTHON3) -m venv .venv-scenes
 	.venv-scenes/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-scenes.lock
 	@touch $@

@@ -5,7 +5,7 @@ A stage begins
 
     import sys
     from pathlib import Path
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
     from lib import stage
 
 and ends
