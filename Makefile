@@ -89,7 +89,7 @@ setup: .venv/ready
 	  echo "Debian packages:$$missing"; \
 	  if [ -z "$$sudo" ] || sudo -n true 2>/dev/null; then \
 	    $$sudo apt-get update -qq || true; \
-	    $$sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing \
+	    $$sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing >/dev/null \
 	      || echo "apt-get install$$missing: failed; going on without" >&2; \
 	  else echo "not root, and no sudo: going on without; apt-get install$$missing" >&2; fi; \
 	fi
