@@ -1,0 +1,71 @@
+#!/usr/bin/env python3
+"""One page to look at: report.html, self-contained.
+
+    $ stages/report.py --scene office --photograph left.png --rendered rendered.png --materials materials.json \
+          --reports build/office/*.report.json --page report.html --report report.report.json
+
+reads   photograph, rendered, group, object, facet, hidden, trusted, depth, legend, materials, scores, comparison, reports;
+        each may be missing, and so is its section then.  Also plan.mk beside the page: what was left out, and why
+writes  page          HTML with everything in it, below 6 MB
+"""
+import argparse
+import re
+import sys
+from pathlib import Path
+
+sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
+from lib import stage
+
+FILES = ("photograph", "group", "object", "facet", "legend", "depth", "trusted", "hidden", "materials", "rendered", "difference", "scores", "scorecard", "comparison")
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="scene", help="its name")
+    parser.add_argument("--transfer", type=stage.json_option, help="what scene.yaml says of it")
+    for name in FILES:
+        parser.add_argument(f"--{name}")
+    parser.add_argument("--reports", nargs="*", default=[])
+    parser.add_argument("--page", required=True)
+    parser.add_argument("--report")
+    return parser
+
+
+def left_out(plan):
+    """[(stage, why)] from the head of plan.mk."""
+    if not plan.is_file():
+        return []
+    head = plan.read_text(encoding="utf-8", errors="replace").partition("\n\n")[0]
+    return re.findall(r"^#   without ([\w-]+): (.*)$", head, re.MULTILINE)
+
+
+def main(opt):
+    from lib.report import Report
+
+    inputs = [getattr(opt, name) for name in FILES] + opt.reports
+    with Report(opt.report, inputs=inputs, arguments=vars(opt)) as report:
+        with report.excluded("imports"):
+            import cv2                                             # noqa: F401  where lib/ imports late
+            from lib import artefact, comparing, image, page
+
+        def read(name, reader):
+            return reader(getattr(opt, name)) if getattr(opt, name) else None
+
+        photograph = read("photograph", image.read_photograph)
+        values = None if photograph is None else photograph.values.clip(0, 1) ** (1 / 2.2) if photograph.linear else photograph.values
+        rendered = read("rendered", image.read_photograph)
+        trusted, hidden = (read(name, image.read_labels) for name in ("trusted", "hidden"))
+        text = page.build(page.Parts(
+            scene=opt.scene, photograph=values, linear=bool(photograph and photograph.linear), rendered=rendered and rendered.values,
+            **{name: read(name, image.read_labels) for name in ("group", "object", "facet")}, depth=read("depth", image.read_exr),
+            trusted=None if trusted is None else trusted > 0, hidden=None if hidden is None else hidden > 0,
+            legend=read("legend", comparing.read_legend), materials=read("materials", comparing.read_materials),
+            scores=read("scores", artefact.read_json), comparison=read("comparison", artefact.read_json),
+            reports=comparing.read_reports(opt.reports), plan=left_out(Path(opt.page).parent / "plan.mk")))
+        report["bytes"] = len(text.encode())
+        with artefact.writing(opt.page) as partial:
+            Path(partial).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    stage.run(main, options())
