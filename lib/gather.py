@@ -21,7 +21,6 @@ class Tiles:
     start: np.ndarray          # (T + 1,) int64 into pixel
     pixel: np.ndarray          # (M,) int64 flat index y * W + x, tile by tile
     direct: np.ndarray         # (T, L) mean factor to each lamp, shadows included
-    direct_sigma: np.ndarray   # (T,) sampling error of the summed direct factor
     rows: form_factors.Rows    # (T, N) indirect light
 
     def __len__(self):
@@ -75,18 +74,13 @@ def build(surface: Surface, mesh: Mesh, camera, facet, used, lamps, n_lamps, *, 
     tile_facet, start, pixel = blocks(facet, used, largest=largest, smallest=smallest, tiles_per_facet=tiles_per_facet)
     per_tile = np.diff(start)
     p, side = backproject(surface, camera, np.repeat(tile_facet, per_tile), pixel)
-    factor = form_factors.direct(surface, lamps, p, form_factors.side_normals(surface), side, n_lamps, n_samples=lamp_samples)
     first = start[:-1]
-    total = factor.sum(axis=1)
-    direct = np.add.reduceat(factor, first, axis=0) / per_tile[:, None] if len(first) else np.zeros((0, n_lamps))
-    # neighbouring pixels differ by shading and by sampling; half their squared difference bounds the sampling
-    step = np.diff(total, append=total[-1:]) ** 2 / 2
-    sigma = np.sqrt(np.add.reduceat(step, first) / per_tile) / np.sqrt(per_tile) if len(first) else np.zeros(0)
+    direct = form_factors.direct(surface, lamps, p, form_factors.side_normals(surface), side, n_lamps, n_samples=lamp_samples, start=start)
     tiles_of = np.bincount(tile_facet, minlength=len(surface.normal))[tile_facet] if len(tile_facet) else np.zeros(0, int)
     wanted = np.maximum(rays_per_tile, rays_per_facet / np.maximum(tiles_of, 1))
     n_rays = (2 ** np.ceil(np.log2(np.minimum(wanted, 4096)))).astype(np.int64)
     rows = form_factors.gather(surface, mesh, p, start, side[first] if len(first) else side, n_rays, seed=5, progress=progress)
-    return Tiles(tile_facet, start, pixel, direct, sigma, rows)
+    return Tiles(tile_facet, start, pixel, direct, rows)
 
 
 # -- gather.npz

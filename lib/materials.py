@@ -58,11 +58,13 @@ def problem(factors, gathered, *, lamps, reference, transfer) -> reflectance.Pro
     tiles = gathered.tiles
     model = transfer_of(transfer, gathered.linear)
     fit_gamma = model.kind == "gamma" and not isinstance(transfer, dict)
+    subcell = factors.subcell()
+    seen_by = lambda rows, half=None: (rows.matrix(half) @ subcell).tocsr()
     return reflectance.Problem(
-        F=factors.rows.matrix(), D=factors.lamp_factor, patch_group=factors.patch_group, area=factors.area, parent=factors.mesh.parent,
-        G=tiles.rows.matrix(), D_tile=tiles.direct, tile_group=gathered.group, tile_object=gathered.object, start=tiles.start,
+        F=seen_by(factors.rows), D=factors.lamp_factor, patch_group=factors.patch_group, area=factors.area,
+        G=seen_by(tiles.rows), G_plain=tiles.rows.matrix(), D_tile=tiles.direct, tile_group=gathered.group, tile_object=gathered.object, start=tiles.start,
         pixels=gathered.pixels, groups=groups, lamps=factors.lamps, emittance=E, rho=rho, metric=Metric(model), fit_gamma=fit_gamma,
-        halves=(tiles.rows.matrix(0), tiles.rows.matrix(1), factors.rows.matrix(0), factors.rows.matrix(1)), group_area=factors.group_area_m2)
+        halves=(*(seen_by(tiles.rows, k) for k in (0, 1)), *(seen_by(factors.rows, k) for k in (0, 1))), group_area=factors.group_area_m2)
 
 
 def _three(values):

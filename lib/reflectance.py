@@ -31,8 +31,8 @@ class Problem:
     D: np.ndarray                # (N, L)
     patch_group: np.ndarray      # (N,) int
     area: np.ndarray             # (N,)
-    parent: np.ndarray           # (N,) int, the cell one level up
-    G: object                    # (T, N) CSR
+    G: object                    # (T, N) CSR, with the sub-cell correction of the sources, as F
+    G_plain: object              # (T, N) CSR, without
     D_tile: np.ndarray           # (T, L)
     tile_group: np.ndarray       # (T,) int
     tile_object: np.ndarray      # (T,) int
@@ -349,7 +349,7 @@ def group_rmse(problem, residual):
 def _uncertainty(problem, light, layout, result, residual, slope, by_gamma, irradiance, noise):
     """Covariance of the parameters (see the module's README section): tile residuals (pixel noise, texture, tile
     sampling) by the sandwich formula; then, each as a perturbation of all tiles pushed through the same normal
-    equations: the patches' discretisation (this mesh against the next coarser one), and the sampling of the form
+    equations: the patches' discretisation (half of the sub-cell correction), and the sampling of the form
     factors (two disjoint halves of the rays). Groups never seen enter through their prior."""
     n = layout.size
     if n == 0:
@@ -380,12 +380,8 @@ def _uncertainty(problem, light, layout, result, residual, slope, by_gamma, irra
 
     rho_tile = state.rho[problem.tile_group]
     terms = {}
-    # discretisation: the error of the coarser mesh is about twice this one's, at least
-    weighted = np.zeros((problem.parent.max() + 1, problem.channels))
-    np.add.at(weighted, problem.parent, state.b * problem.area[:, None])
-    total = np.bincount(problem.parent, problem.area)[:, None]
-    coarse = (weighted / np.maximum(total, 1e-300))[problem.parent]
-    terms["discretisation"] = 0.5 * push(rho_tile * (light.G @ (coarse - state.b)))
+    # discretisation: half of what the sub-cell correction changed
+    terms["discretisation"] = 0.5 * push(rho_tile * (light.G @ state.b - problem.G_plain @ state.b))
     if problem.halves:
         G0, G1, F0, F1 = problem.halves
         solved = [Light(problem, F, problem.G) for F in (F0, F1)]

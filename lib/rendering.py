@@ -26,6 +26,7 @@ from lib.mesh import Mesh, Surface
 from lib.rays import OFFSET, shifts, sobol
 
 TEXELS = 30_000         # about so many texels in a scene
+NEAR = 3.0              # texels: what a gathering ray meets within so many is lit by itself
 FAR = 10.0              # local coordinates are smaller: facets this far apart do not mix in a search
 
 
@@ -85,15 +86,21 @@ class Texture:
     """A grid of texels over each side's bounding rectangle, values at their centres.
 
     start : (2 F,) int64 into value, -1: nothing reflects there      shape : (2 F, 2) int32      value : (K, C) float32
-    irradiance : (K, C)  the same before reflection
+    irradiance : (K, C)  the same before reflection                good : (K,) bool, in the facet and outside solids
+    direct : (K, C) the part of `value` that comes from the lamps at once        step : local, about the width of a texel
+    rho : (F, C)
     """
     start: np.ndarray
     shape: np.ndarray
     value: np.ndarray
     irradiance: np.ndarray
+    good: np.ndarray
+    direct: np.ndarray
+    step: float
+    rho: np.ndarray
 
 
-def texture(surface: Surface, mesh: Mesh, lamps, E, light: Light, exposed, rho_facet, *, texels=TEXELS, samples=8) -> Texture:
+def texture(surface: Surface, mesh: Mesh, lamps, E, light: Light, exposed, rho_facet, *, texels=TEXELS, samples=32, n_rays=64) -> Texture:
     """Reflected radiosity of every side that has patches, direct light from the lamps and not from the patches.
 
     lamps : from form_factors.emitters;  E : (L, C);  exposed : (N,);  rho_facet : (F, C)
@@ -124,10 +131,35 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, light: Light, exposed, rho_f
     irradiance = np.zeros((len(p), E.shape[1]), np.float32)
     irradiance[at] = form_factors.direct(surface, lamps, p[at], normals, side[at], len(E), n_samples=samples, seed=71) @ E
     lit = np.flatnonzero(exposed > 0)
-    irradiance[at] += spread(np.hstack([mesh.centre[lit], FAR * mesh.side[lit, None]]), light.indirect[lit],
-                             np.hstack([p[at], FAR * side[at, None]]), surface.axes[f[at]])
+    place, places = np.hstack([p[at], FAR * side[at, None]]), np.hstack([mesh.centre[lit], FAR * mesh.side[lit, None]])
+    between = np.zeros((len(p), E.shape[1]), np.float32)
+    rest, patch = light.indirect, _patch_at(mesh, side[at], index[at], shape, mesh.table_shape[side[at]])
+    number = np.maximum(np.bincount(np.maximum(patch, 0), patch >= 0, len(mesh)), 1)[:, None]
+    for _ in range(3):
+        # a fit through hollow or domed light lies above or below it: what a patch lacks on average is added until it agrees
+        between[at] += spread(places, rest[lit], place, surface.axes[f[at]])
+        found = np.stack([np.bincount(np.maximum(patch, 0), np.where(patch >= 0, between[at, c], 0), len(mesh)) for c in range(E.shape[1])], axis=1) / number
+        rest = np.where((np.bincount(np.maximum(patch, 0), patch >= 0, len(mesh)) > 0)[:, None], light.indirect - found, 0)
+    between = np.maximum(between, 0)
     _fill(irradiance, good, start[sides], count)
-    return Texture(start, shape, irradiance * rho_facet[f].astype(np.float32), irradiance)
+    rho = rho_facet.astype(np.float32)
+    first = irradiance * rho[f]
+    if n_rays:
+        # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches
+        _fill(between, good, start[sides], count)
+        once = Texture(start, shape, first + between * rho[f], irradiance, good, first, float(step), rho)
+        ones = np.arange(len(at))
+        between[at] = _sent(surface, once, lamps, E, p[at], ones, ones + 1, side[at], n_rays, 650)[0]
+    _fill(between, good, start[sides], count)
+    return Texture(start, shape, first + between * rho[f], irradiance + between, good, first, float(step), rho)
+
+
+def _patch_at(mesh, side, index, shape, cells):
+    """The patch under each texel's centre, -1 outside."""
+    columns = shape[side, 1]
+    a = ((index // columns + 0.5) * cells[:, 0] / shape[side, 0]).astype(np.int64)
+    b = ((index % columns + 0.5) * cells[:, 1] / columns).astype(np.int64)
+    return mesh.leaf[mesh.table_start[side] + a * cells[:, 1] + b]
 
 
 def spread(known, value, wanted, axes, neighbours=9):
@@ -183,7 +215,7 @@ def _fit(known, value, wanted, axes, near, distance):
         _linear(s0, su, sv, suu, suv, svv, t, 0.02)
         for c in range(C):                     # beyond the outermost points no more than half the range is continued
             room = 0.5 * (high[c] - low[c])
-            out[i, c] = max(0.0, min(max(t[0, c], low[c] - room), high[c] + room))
+            out[i, c] = min(max(t[0, c], low[c] - room), high[c] + room)
     return out
 
 
@@ -413,7 +445,7 @@ def _blocks(pixels: Pixels, first, last, level):
     return member[begin], member[begin] + length
 
 
-def gather(surface: Surface, shown: Texture, pixels: Pixels, total_direct, *, n_rays=256, largest=5, smallest=1,
+def gather(surface: Surface, shown: Texture, lamps, E, pixels: Pixels, total_direct, *, n_rays=256, largest=5, smallest=1,
            contact=0.35, tolerance=0.01, trace=None) -> Leaves:
     """Indirect light at the leaves, refined from blocks 2^largest px wide down to 2^smallest.
 
@@ -425,7 +457,7 @@ def gather(surface: Surface, shown: Texture, pixels: Pixels, total_direct, *, n_
     done, fresh = None, None
     brightness = total_direct.mean(axis=1)
     for level in range(largest, smallest - 1, -1):
-        fresh = _gathered(surface, shown, pixels, first, last, level, n_rays)
+        fresh = _gathered(surface, shown, lamps, E, pixels, first, last, level, n_rays)
         everything = fresh if done is None else Leaves.joined(done, fresh)
         if level == smallest:
             done = everything
@@ -453,29 +485,45 @@ def _means(values, first, last):
     return (cumulated[last] - cumulated[first]) / (last - first)
 
 
-def _gathered(surface, shown, pixels, first, last, level, n_rays) -> Leaves:
-    m = len(first)
-    C = shown.value.shape[1]
-    sequence, shift = sobol(n_rays), shifts(m, n_rays, 900 + level)
-    side = pixels.side[first]
-    total = np.zeros((m, C))
-    half = np.zeros((m, C))
-    distance = np.zeros(m)
+def _gathered(surface, shown, lamps, E, pixels, first, last, level, n_rays) -> Leaves:
+    total, half, distance = _sent(surface, shown, lamps, E, pixels.p, first, last, pixels.side[first], n_rays, 900 + level)
+    q = np.stack([_means(pixels.x.astype(float), first, last), _means(pixels.y.astype(float), first, last)], axis=1)
+    low, high = _bounds(pixels.p, first, last)
+    extent = np.linalg.norm(high - low, axis=1)
+    noise = np.abs(half).mean(axis=1)
+    return Leaves(first, last, np.full(len(first), level), q, extent, total, distance, noise)
+
+
+def _sent(surface, shown, lamps, E, p, first, last, side, n_rays, seed):
+    """Rays from places that own the points first to last of p: mean radiosity they meet (K, C), half the difference of the
+    two halves of the rays (K, C), harmonic mean distance (K,)."""
+    m, C = len(first), shown.value.shape[1]
+    sequence, shift = sobol(n_rays), shifts(m, n_rays, seed)
+    total, half, distance = np.zeros((m, C)), np.zeros((m, C)), np.zeros(m)
     step = max(1, CHUNK // n_rays)
     for a in range(0, m, step):
         b = min(m, a + step)
-        rays = _rays(a, b, n_rays, sequence, shift, first, last, pixels.p, side, surface.axes, surface.normal)
+        rays = _rays(a, b, n_rays, sequence, shift, first, last, p, side, surface.axes, surface.normal)
         triangle, t = surface.caster.closest(rays)
+        near, close = _close(surface, shown, lamps, E, rays, triangle, t)
         _look(rays, triangle, t, n_rays, surface.facet, surface.normal, surface.origin, surface.axes, surface.size, surface.inside,
-              shown.start, shown.shape, shown.value, total[a:b], half[a:b], distance[a:b])
-    q = np.stack([_means(pixels.x.astype(float), first, last), _means(pixels.y.astype(float), first, last)], axis=1)
-    low = np.minimum.reduceat(pixels.p, first, axis=0) if m else np.zeros((0, 3))
-    high = np.maximum.reduceat(pixels.p, first, axis=0) if m else np.zeros((0, 3))
-    if m and not np.array_equal(first[1:], last[:-1]):         # ranges with gaps: reduceat would run on into them
-        low, high = _bounds(pixels.p, first, last)
-    extent = np.linalg.norm(high - low, axis=1)
-    noise = np.abs(half).mean(axis=1)
-    return Leaves(first, last, np.full(m, level), q, extent, total, distance, noise)
+              shown.start, shown.shape, shown.value, shown.direct, near, close, total[a:b], half[a:b], distance[a:b])
+    return total, half, distance
+
+
+def _close(surface, shown, lamps, E, rays, triangle, t):
+    """Where a ray ends within three texels its target is too near for a texture: a shadow in the corner matters. The number of
+    each such ray (n,), -1 for the others, and the radiosity there by direct light, from one shadow ray (m, C)."""
+    near = np.full(len(rays), -1, np.int32)
+    rows = np.flatnonzero(t < NEAR * shown.step)
+    facet = surface.facet[triangle[rows]]
+    side = 2 * facet + (np.einsum("ij,ij->i", rays[rows, 3:], surface.normal[facet]) > 0)
+    lit = shown.start[side] >= 0
+    rows, facet, side = rows[lit], facet[lit], side[lit]
+    near[rows] = np.arange(len(rows))
+    p = rays[rows, :3] + t[rows, None].astype(float) * rays[rows, 3:]
+    factor = form_factors.direct(surface, lamps, p, form_factors.side_normals(surface), side, len(E), n_samples=1, seed=33)
+    return near, (factor @ E).astype(np.float32) * shown.rho[facet]
 
 
 @njit(cache=True)
@@ -512,7 +560,7 @@ def _rays(a, b, n, sequence, shift, first, last, p, side, axes, normal):
 
 
 @njit(cache=True, parallel=True)
-def _look(rays, triangle, t, n, facet, normal, origin, axes, size, inside, start, shape, value, total, half, distance):
+def _look(rays, triangle, t, n, facet, normal, origin, axes, size, inside, start, shape, value, direct, near, close, total, half, distance):
     """Mean radiosity that the rays of each leaf meet, half the difference of its two halves, harmonic mean distance.
 
     A ray that meets the inner side of a solid, or a side that no light reaches, began in the wrong place and is dropped.
@@ -552,6 +600,11 @@ def _look(rays, triangle, t, n, facet, normal, origin, axes, size, inside, start
             for c in range(C):
                 sums[part, c] += (1 - u) * ((1 - v) * value[here, c] + v * value[here + dv, c]) \
                     + u * ((1 - v) * value[here + du, c] + v * value[here + du + dv, c])
+            m = near[row]
+            if m >= 0:
+                for c in range(C):
+                    sums[part, c] += close[m, c] - (1 - u) * ((1 - v) * direct[here, c] + v * direct[here + dv, c]) \
+                        - u * ((1 - v) * direct[here + du, c] + v * direct[here + du + dv, c])
         for c in range(C):
             total[i, c] = (sums[0, c] + sums[1, c]) / max(valid[0] + valid[1], 1.0)
             half[i, c] = 0.5 * (sums[0, c] / max(valid[0], 1.0) - sums[1, c] / max(valid[1], 1.0))
@@ -968,7 +1021,7 @@ def render(scene: Scene, *, n_rays=256, shadow_rays=64, contact=0.35, tolerance=
         factor, penumbra = direct(surface, lamps, len(E), seen, many=shadow_rays)
         irradiance = factor @ E
     with timing("indirect"):
-        leaves = gather(surface, shown, seen, irradiance, n_rays=n_rays, contact=contact, tolerance=tolerance, trace=trace)
+        leaves = gather(surface, shown, lamps, E, seen, irradiance, n_rays=n_rays, contact=contact, tolerance=tolerance, trace=trace)
         irradiance += interpolated(leaves, seen)
     with timing("antialias"):
         centres = radiosities(seen, irradiance, surface, rho, E, lamp_groups, scene.facet.shape)
@@ -1008,7 +1061,7 @@ def warm_up(channels):
     surface = meshes.surface(model, ["lamp"])
     lamps = form_factors.emitters(surface, ["lamp"])
     mesh = meshes.build(surface, patches=20, max_level=0, contrast=1.0, emitters=lamps)
-    factor = form_factors.mean_over_open(*form_factors.patch_direct(surface, mesh, lamps, 1, n_points=4))
+    factor = form_factors.direct(surface, lamps, mesh.centre, form_factors.side_normals(surface), mesh.side, 1, n_samples=4)
     group = surface.group[mesh.side // 2]
     factors = form_factors.Factors(mesh, form_factors.rays(surface, mesh, n_rays=16), factor, ("lamp",), group, ("wall", "lamp"), np.ones(2), 1.0)
     T = np.array([[1, 0, 0, -.5], [0, 0, -1, .5], [0, 1, 0, 1.0], [0, 0, 0, 1]])
