@@ -37,6 +37,7 @@ class Surface:
     caster: Caster
     shadows: Caster              # facets that can occlude, lamps among them
     n_occluders: int
+    cast: np.ndarray             # (T, 3, 3) float64 local: corners as they are cast, solids a hair thinner
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def surface(model, lamps=()) -> Surface:
     cast = corners + thinner[facet][:, None, :]
     return Surface(local, corners, facet, normal, np.asarray(model.facet_group, np.int32), np.asarray(model.facet_object, np.int32),
                    origin, axes, size, inside, tuple(model.groups), Caster(cast), Caster(cast[can[facet]]),
-                   int(can[~lamp_facet].sum()))
+                   int(can[~lamp_facet].sum()), cast)
 
 
 @njit(cache=True)
