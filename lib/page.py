@@ -152,13 +152,13 @@ def uri(values, *, photo=False):
 
 
 def colours(n):
-    """n colours that neighbours in the list do not share: hues a golden angle apart, three lightnesses.  (n, 3) uint8."""
+    """n quiet colours, neighbours in the list far apart: hues a golden angle apart, three lightnesses (Oklab).  (n, 3) uint8."""
     i = np.arange(n)
-    hue = (0.58 + i * 0.61803398875) % 1 * 6
-    value, saturation = np.array([0.86, 0.62, 0.97])[i % 3], np.array([0.62, 0.70, 0.42])[(i // 2) % 3]
-    k = (np.array([5, 3, 1])[None] + hue[:, None]) % 6
-    rgb = value[:, None] * (1 - saturation[:, None] * np.clip(np.minimum(k, 4 - k), 0, 1))
-    return (255 * rgb + 0.5).astype(np.uint8)
+    hue, L, C = 2.3999632 * i + 4.1, np.array([0.70, 0.56, 0.83])[i % 3], np.array([0.105, 0.11, 0.085])[i % 3]
+    lab = np.stack([L, C * np.cos(hue), C * np.sin(hue)])
+    lms = (np.array([[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]) @ lab) ** 3
+    linear = np.array([[4.0767416621, -3.3077115913, 0.2309699292], [-1.2684380046, 2.6097574011, -0.3413193965], [-0.0041960863, -0.7034186147, 1.7076147010]]) @ lms
+    return _bytes8(display_function({"kind": "srgb"})(linear).T)
 
 
 def paint(labels):
@@ -181,7 +181,7 @@ def _three(values):
 
 def difference(photograph, rendered):
     """(largest signed deviation over the channels (H, W), half the width of its scale: 1, 2 or 5 times a power of ten)."""
-    delta = rendered - photograph
+    delta = np.nan_to_num(rendered - photograph, posinf=1, neginf=-1)
     signed = np.take_along_axis(delta, np.abs(delta).argmax(axis=2)[..., None], axis=2)[..., 0]
     typical = max(float(np.percentile(np.abs(signed), 98)), 1e-3)
     power = 10.0 ** math.floor(math.log10(typical))
@@ -222,6 +222,8 @@ def _ticks(low, high, log):
     """(value, label) between low and high (log: decimal exponents); about four to seven."""
     if log:
         span = high - low
+        if span < 0.5:
+            return [(math.log10(v), label) for v, label in _ticks(10 ** low, 10 ** high, False) if v > 0]
         factors = (1, 2, 5) if span < 1.6 else (1, 3) if span < 2.5 else (1,)
         step = max(1, math.ceil(span / 7))
         found = [m * 10.0 ** e for e in range(math.floor(low) - 1, math.ceil(high) + 1) for m in factors if e % step == 0 or span < 2.5]
@@ -281,7 +283,7 @@ def _plot(series, *, x, y, title, logx=False, logy=False, xlim=None, ylim=None, 
 
 def _dots(value, sigma, truth, channels):
     """A group's reflectance on a line from 0 to 1: dot, bar of 3 sigma, tick at the truth, per channel."""
-    width, row = 150, 12
+    width, row = 112, 12
     height = row * len(channels) + 2
     X = lambda v: 5 + min(max(v, 0), 1) * (width - 10)
     out = [f'<svg class="spread" viewBox="0 0 {width} {height}" width="{width}" height="{height}" aria-hidden="true">']
@@ -305,8 +307,8 @@ def _section(title, body, lead="", name=None):
     return f'<section id="{esc(name)}"><h2>{esc(title)}</h2>{f"<p class=lead>{lead}</p>" if lead else ""}{body}</section>' if body else ""
 
 
-def _figure(data, caption, alt, crisp=False):
-    return f'<figure><img src="{data}" alt="{esc(alt)}"{" class=crisp" if crisp else ""} loading="lazy"><figcaption>{caption}</figcaption></figure>'
+def _figure(data, caption, alt):
+    return f'<figure><img src="{data}" alt="{esc(alt)}" loading="lazy"><figcaption>{caption}</figcaption></figure>'
 
 
 def _errors(parts):
@@ -377,8 +379,8 @@ def _facts(parts):
     if times:
         upto = list(parts.reports)
         fit = sum(parts.reports[s].get("cpu_s") or 0 for s in upto[:upto.index("fit") + 1]) if "fit" in upto else None
-        facts.append(("Computing time", f"{number(fit if fit is not None else sum(times), 2)} s",
-                      f"of CPU, up to the reflectances; {number(sum(times), 2)} s with the pictures" if fit is not None else "of CPU, all stages"))
+        facts.append(("Computing time", f"{fixed(fit if fit is not None else sum(times), 1)} s",
+                      f"of CPU, up to the reflectances; {fixed(sum(times), 1)} s with the pictures" if fit is not None else "of CPU, all stages"))
     return "<dl class=facts>" + "".join(f"<div><dt>{esc(k)}</dt><dd>{esc(v)}<small>{esc(n)}</small></dd></div>" for k, v, n in facts) + "</dl>" if facts else ""
 
 
@@ -411,8 +413,8 @@ def _difference(parts, width):
     signed, half = difference(a, b)
     low, middle, high = (float(np.percentile(np.abs(signed), q)) for q in (50, 95, 99))
     stops = ", ".join(css(c) for c in SCALE)
-    scale = (f'<div class="scale"><i style="background:linear-gradient(90deg, {stops})"></i><p><span>{percent(-half)}<br>re-rendering darker</span>'
-             f'<span>equal</span><span>+{percent(half)}<br>brighter</span></p></div>')
+    scale = (f'<div class="scale"><i style="background:linear-gradient(90deg, {stops})"></i><p><span>−{number(100 * half)} %<br>re-rendering darker</span>'
+             f'<span>equal</span><span>+{number(100 * half)} %<br>brighter</span></p></div>')
     picture = _figure(uri(_smaller(diverging(signed, half), width)), "Per pixel, the channel that differs most.", "Re-rendering minus photograph, in colours")
     worst = sorted(((n, s["rmse"]) for n, s in ((parts.scores or {}).get("groups") or {}).items() if _finite((s or {}).get("rmse"))), key=lambda v: -v[1])[:6]
     bars = "".join(f'<tr><th scope=row>{esc(n)}</th><td class=num>{percent(v)}</td><td class=meter><i style="width:{_n(100 * v / worst[0][1])}%"></i></td></tr>' for n, v in worst if worst[0][1] > 0)
@@ -476,13 +478,15 @@ def _materials(parts):
                 inner += f'<small>truth {fixed(against["truth"][c], 4)}{verdict_}</small>'
             cells += f'<td class="num" data-label="ρ{"" if len(channels) == 1 else f" {CHANNELS[c]}"}">{inner}</td>'
         kind, words = _status_words(g)
+        status = f'<small><span class="pill {kind}">{esc(words)}</span></small>' if kind == "warn" else ""
+        words = f'{plain(g.get("kind") or "kind unknown")}{f", {words}" if kind != "warn" else ""}'
         pixels = g.get("pixels")
         spread = _dots(value, sigma, against.get("truth"), channels) if own else ""
-        rows.append(f'<tr><td class="first">{swatch}</td><th scope=row>{esc(name)}<small>{esc(plain(g.get("kind") or "kind unknown"))}</small></th>{cells}'
+        rows.append(f'<tr><td class="first">{swatch}</td><th scope=row>{esc(name)}<small>{esc(words)}</small>{status}</th>{cells}'
                     f'<td class="wide">{spread}</td><td class="num" data-label="pixels">{number(pixels)}</td>'
-                    f'<td class="num" data-label="display error">{percent(g.get("error"))}</td><td data-label="status"><span class="pill {kind}">{esc(words)}</span></td></tr>')
+                    f'<td class="num" data-label="display error">{percent(g.get("error"))}</td></tr>')
     head = (f'<tr><th></th><th scope=col>Group</th>{heads}<th scope=col class="wide">0 &nbsp;…&nbsp; 1</th><th scope=col class="num">Pixels</th>'
-            f'<th scope=col class="num">Display error</th><th scope=col>Status</th></tr>')
+            f'<th scope=col class="num">Display error</th></tr>')
     known, every = _identified(parts)
     has_truth = any((t.get("rho_d") or {}).get("truth") for t in truths.values())
     lead = "Share of the light that each material reflects, per channel, with its standard deviation. The swatch is the material in full light, as this camera shows it."
@@ -533,8 +537,6 @@ def _transfer(parts, transfer):
     T = display_function(transfer)
     series, bands, words = [("no transfer", [0, 1], [0, 1], "faint")], [], esc(plain(transfer["kind"]))
     truth = ((parts.comparison or {}).get("transfer") or {}).get("truth")
-    if truth and truth.get("kind") in ("gamma", "linear", "srgb", "curve"):
-        series.append(("truth", B, display_function(truth)(B), "dash"))
     if transfer["kind"] == "gamma" and _finite(transfer.get("gamma")):
         gamma, sigma = transfer["gamma"], transfer.get("sigma")
         words = f"γ = <b>{esc(pm(gamma, sigma, 3))}</b>" + ("" if sigma else " (given)")
@@ -543,13 +545,15 @@ def _transfer(parts, transfer):
         if _finite(sigma) and 0 < 3 * sigma < gamma:
             bands.append((B, B ** (1 / (gamma - 3 * sigma)), B ** (1 / (gamma + 3 * sigma))))
     series.append(("found", B, T(B), "a"))
+    if truth and truth.get("kind") in ("gamma", "linear", "srgb", "curve"):
+        series.append(("truth", B, display_function(truth)(B), "dash"))
     return _plot(series, x="light at the sensor", y="displayed value", title="The camera's transfer function", xlim=(0, 1), ylim=(0, 1), bands=bands, dots=False,
                  height=320) + f"<p class=note>{words}{'; the band is 3 σ wide on either side' if bands else ''}</p>"
 
 
 def _buffers(parts, width):
     width = min(width, 960)
-    figures, names = [], (parts.legend or {}).get("groups") or []
+    large, figures, names = [], [], (parts.legend or {}).get("groups") or []
     h_w = next((v.shape[:2] for v in (parts.group, parts.object, parts.facet, parts.trusted, parts.hidden, parts.depth) if v is not None), None)
     if h_w is None:
         return ""
@@ -560,14 +564,14 @@ def _buffers(parts, width):
         palette = colours(len(count) - 1)
         legend = "<p class=keys>" + "".join(f'<span><i class=key style="background:{css(palette[i])}"></i>{esc(names[i]) if i < len(names) else i + 1}'
                                             f'<em>{percent(count[i + 1] / parts.group.size, 1)}</em></span>' for i in seen[:40]) + "</p>"
-        figures.append(_figure(uri(_smaller(paint(parts.group), width, nearest=True)), "<b>Groups</b>: what shares one material", "Group index buffer", True))
+        large.append(_figure(uri(_smaller(paint(parts.group), width, nearest=True)), "<b>Groups</b>: what shares one material", "Group index buffer"))
     for key, name, words in (("object", "Objects", "things of the model"), ("facet", "Facets", "flat parts; light varies smoothly within one")):
         value = getattr(parts, key)
         if value is not None:
-            figures.append(_figure(uri(_smaller(paint(value), width, nearest=True)), f"<b>{name}</b>: {len(np.unique(value[value > 0])):,} seen; {words}", f"{name} index buffer", True))
+            figures.append(_figure(uri(_smaller(paint(value), width, nearest=True)), f"<b>{name}</b>: {len(np.unique(value[value > 0])):,} seen; {words}", f"{name} index buffer"))
     if parts.hidden is not None:
         lines = _smaller((~parts.hidden.astype(bool)).astype(np.uint8) * 255, width)
-        figures.append(_figure(uri(lines), "<b>Hidden surfaces removed</b>: the edges that remain visible", "Visible edges of the model", True))
+        figures.append(_figure(uri(lines), "<b>Hidden surfaces removed</b>: the edges that remain visible", "Visible edges of the model"))
     if parts.trusted is not None:
         share = float(np.mean(parts.trusted))
         caption = f"<b>Trusted pixels</b>: {percent(share)} of the picture"
@@ -575,15 +579,15 @@ def _buffers(parts, width):
             base = _three(parts.photograph)
             grey = base.mean(axis=2, keepdims=True)
             over = np.where(parts.trusted.astype(bool)[..., None], base * 0.72 + np.array([0.0, 0.28, 0.20]), grey * 0.38 + 0.06)
-            figures.append(_figure(uri(_smaller(_bytes8(over), width), photo=True), caption + ", tinted; the others do not take part", "Trusted pixels over the photograph"))
+            large.append(_figure(uri(_smaller(_bytes8(over), width), photo=True), caption + ", tinted; the others do not take part", "Trusted pixels over the photograph"))
         else:
-            figures.append(_figure(uri(_smaller(parts.trusted.astype(np.uint8) * 255, width, nearest=True)), caption, "Trusted pixels", True))
-    if parts.depth is not None and (parts.depth > 0).any():
-        some = parts.depth > 0
+            large.append(_figure(uri(_smaller(parts.trusted.astype(np.uint8) * 255, width, nearest=True)), caption, "Trusted pixels"))
+    if parts.depth is not None and (np.isfinite(parts.depth) & (parts.depth > 0)).any():
+        some = (parts.depth > 0) & np.isfinite(parts.depth)
         near, far = float(parts.depth[some].min()), float(parts.depth[some].max())
-        shade = np.where(some, 1 - 0.9 * (parts.depth - near) / max(far - near, 1e-12), 0)
+        shade = np.where(some, 1 - 0.9 * (np.where(some, parts.depth, near) - near) / max(far - near, 1e-12), 0)
         figures.append(_figure(uri(_smaller(_bytes8(shade), width), photo=True), f"<b>Depth</b>: {number(near)} m (bright) to {number(far)} m", "Depth"))
-    return _section("What each pixel shows", f'<div class="grid3">{"".join(figures)}</div>{legend}', "The model drawn from the camera’s place, beside the photograph.")
+    return _section("What each pixel shows", (f'<div class="two even">{"".join(large)}</div>' if large else "") + legend + (f'<div class="grid4">{"".join(figures)}</div>' if figures else ""), "The model drawn from the camera’s place, beside the photograph.")
 
 
 def _convergence(parts):
@@ -622,7 +626,7 @@ def _models(parts):
     again = any(_finite(r.get("rmse_rescaled")) for r in rows)
     body = "".join(f'<tr><th scope=row>{esc(MODEL_WORDS.get(r.get("kind"), plain(r.get("kind"))))}</th><td class=num data-label="RMSE">{percent(r.get("rmse"))}</td>'
                    + (f'<td class=num data-label="reflectances refitted">{percent(r.get("rmse_rescaled"))}</td>' if again else "")
-                   + f'<td data-label="note">{esc(r.get("note") or "")}</td></tr>' for r in rows)
+                   + f'<td class="remark">{esc(r.get("note") or "")}</td></tr>' for r in rows)
     heads = "<th scope=col class=num>Reflectances refitted</th>" if again else ""
     return _section("Transfer models compared", f'<div class="scroll"><table class="cards"><thead><tr><th scope=col>Model</th><th scope=col class=num>RMSE</th>{heads}<th scope=col>Note</th></tr></thead>'
                     f"<tbody>{body}</tbody></table></div>", "The same light shown through other transfer functions, and how far each picture stays from the photograph.")
@@ -715,7 +719,6 @@ section{padding:36px 0 8px;border-top:1px solid var(--line);margin-top:40px}
 .good{color:var(--good);background:var(--good-bg)}.warn{color:var(--warn);background:var(--warn-bg)}.bad{color:var(--bad);background:var(--bad-bg)}.pill.plain{color:var(--muted);background:var(--plain-bg)}
 figure{margin:0}
 img{display:block;width:100%;height:auto;border-radius:8px;background:var(--plain-bg)}
-img.crisp{image-rendering:crisp-edges;image-rendering:pixelated}
 figcaption{color:var(--muted);font-size:13.5px;margin-top:8px}
 figcaption b{color:var(--ink);font-weight:600}
 .hero{display:grid;grid-template-columns:minmax(0,1fr) 284px;gap:36px;align-items:start}
@@ -740,7 +743,7 @@ figcaption b{color:var(--ink);font-weight:600}
 .pair:has(input:focus-visible){outline:3px solid var(--accent);outline-offset:3px}
 .two{display:grid;grid-template-columns:minmax(0,2fr) minmax(0,1fr);gap:36px}
 .two.even{grid-template-columns:repeat(2,minmax(0,1fr));gap:36px 48px}
-.grid3{display:grid;grid-template-columns:repeat(auto-fill,minmax(270px,1fr));gap:24px}
+.grid4{display:grid;grid-template-columns:repeat(auto-fit,minmax(220px,1fr));gap:24px;margin-top:28px}
 .scale i{display:block;height:14px;border-radius:4px;margin-top:4px}
 .scale p{display:flex;justify-content:space-between;margin:6px 0 26px;font-size:13.5px;color:var(--muted);line-height:1.35}
 .scale span:last-child{text-align:right}
@@ -751,14 +754,14 @@ figcaption b{color:var(--ink);font-weight:600}
 .scroll{overflow-x:auto}
 table{border-collapse:collapse;width:100%;font-size:14.5px}
 th{font-weight:600;text-align:left}
-thead th{color:var(--muted);font-size:13px;font-weight:500;padding:0 12px 8px 0;vertical-align:bottom;white-space:nowrap}
-tbody td,tbody th,tfoot td,tfoot th{padding:11px 12px 11px 0;border-top:1px solid var(--line);vertical-align:middle}
+thead th{color:var(--muted);font-size:13px;font-weight:500;padding:0 12px 8px 0;vertical-align:bottom}
+tbody td,tbody th,tfoot td,tfoot th{padding:11px 11px 11px 0;border-top:1px solid var(--line);vertical-align:middle}
 tfoot td,tfoot th{font-weight:600}
-td small,th small{display:block;font-weight:400;white-space:nowrap}
+td small,th small{display:block;font-weight:400;white-space:nowrap;font-size:12.5px}
 td b{font-weight:600}
 .num{text-align:right;white-space:nowrap}
 .plain td,.plain th{padding:6px 12px 6px 0}
-.meter{width:36%;min-width:70px;padding-right:0}
+.meter{width:36%;min-width:70px}
 .meter i{display:block;height:7px;border-radius:4px;background:var(--accent);opacity:.75;min-width:1px}
 .swatch{display:block;width:38px;height:38px;border-radius:8px;box-shadow:inset 0 0 0 1px rgba(128,128,128,.35)}
 .swatch.none{background:repeating-linear-gradient(45deg,var(--line) 0 4px,transparent 4px 8px)}
@@ -766,7 +769,7 @@ td b{font-weight:600}
 .spread{display:block}
 svg text{fill:var(--muted);font-size:12px}
 svg .label{fill:var(--ink);font-size:12.5px}
-.plot{display:block;width:100%;height:auto}
+.plot{display:block;width:100%;max-width:480px;height:auto}
 .grid{stroke:var(--line);stroke-width:1}
 .line{fill:none;stroke:var(--a);stroke-width:2;stroke-linejoin:round}
 .dot{fill:var(--a)}
@@ -791,8 +794,9 @@ code{font:12.5px ui-monospace,SFMono-Regular,Menlo,Consolas,monospace}
 details~h3{margin-top:22px}
 footer{color:var(--muted);font-size:13.5px;padding-top:36px;padding-bottom:56px}
 @media (max-width:860px){.hero,.two,.two.even{grid-template-columns:minmax(0,1fr);gap:28px}.hero .facts{display:grid;grid-template-columns:repeat(auto-fit,minmax(200px,1fr));gap:0 28px}.facts div:first-child{padding-top:13px}}
+@media (max-width:1060px){.wide{display:none}}
 @media (max-width:700px){main,header,footer{padding-left:16px;padding-right:16px}header{padding-top:28px}section{margin-top:28px;padding-top:26px}
-.grid3{grid-template-columns:minmax(0,1fr)}
+.grid4{grid-template-columns:repeat(2,minmax(0,1fr));gap:16px}
 .cards thead{display:none}
 .cards,.cards tbody,.cards tfoot,.cards tr,.cards td,.cards th{display:block;width:auto}
 .cards tr{position:relative;border-top:1px solid var(--line);padding:12px 0}
@@ -803,6 +807,7 @@ footer{color:var(--muted);font-size:13.5px;padding-top:36px;padding-bottom:56px}
 .cards td[data-label] small{display:block;white-space:normal}
 .cards td.num[data-label]{display:block;padding-left:84px;position:relative;min-height:1.6em}
 .cards td.num[data-label]:before{position:absolute;left:0}
+.cards .remark{color:var(--muted);font-size:13.5px}
 .cards td:empty,.cards .wide{display:none}
 .cards .first{position:absolute;right:0;top:12px;width:auto}
 .cards .first+th{min-height:40px;padding-right:56px}}
