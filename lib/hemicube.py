@@ -1,0 +1,267 @@
+"""Form factors by hemicubes (section 3.3; Cohen and Greenberg 1985), drawn by OpenGL.
+
+Half a cube is put over the centre of each patch and the facets are drawn on its five faces through the Z-buffer.
+Every pixel stands for its delta form factor, the exact factor of its square; the patch it shows is found on the
+facet's plane, as for index buffers, so that no cracks open between patches of unlike size.
+
+Simplest and least accurate: each patch is one point, and a factor is known to a pixel along its outline,
+|error| <= length of the outline in pixels * the largest delta form factor, 4 / (pi resolution^2). `make bench` compares.
+"""
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numba import njit, prange
+
+from lib.form_factors import Rows, side_normals
+from lib.rays import OFFSET
+
+NEAR, FAR = 1e-6, 4.0        # in diagonals of the model
+ATLAS_PIXELS = 1 << 22       # drawn between two readings
+
+
+class NoGraphics(RuntimeError):
+    """There is no EGL to draw with."""
+
+
+_VERTEX = """
+#version 330
+in vec3 p; in float facet;
+uniform vec3 eye, right, up, forward; uniform vec2 half_face;      // clip.y = half_face.x y + half_face.y z: all, or the upper half
+flat out float f_facet;
+void main() {
+    vec3 v = p - eye;
+    float w = dot(forward, v), y = dot(up, v);
+    gl_Position = vec4(dot(right, v), half_face.x * y + half_face.y * w, w - 2.0 * %(near)g, w);
+    f_facet = facet;
+}""" % {"near": NEAR}
+# The depth that is compared is linear: 24 bits then tell a board from its wall at any distance.
+_FRAGMENT = """
+#version 330
+flat in float f_facet;
+out float result;
+void main() { result = f_facet; gl_FragDepth = clamp(1.0 / (gl_FragCoord.w * %(far)g), 0.0, 1.0); }""" % {"far": FAR}
+
+
+@functools.lru_cache(maxsize=1)
+def _context():
+    try:
+        import moderngl
+
+        context = moderngl.create_context(standalone=True, backend="egl", require=330)
+    except Exception as error:                 # no package, no libEGL, no driver: each has its own exception
+        raise NoGraphics(f"no EGL to draw hemicubes with ({' '.join(str(error).split()) or type(error).__name__}); use rays") from None
+    return context, context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
+
+
+def delta_factors(resolution):
+    """Factor from the element under the hemicube to each of its pixels: top (R, R), and one side (R // 2, R) from the
+    horizon up. Exact for the whole pixel, not the value at its centre times its area: their sum is 1.
+
+    >>> top, side = delta_factors(8)
+    >>> round(float(top.sum() + 4 * side.sum()), 12)
+    1.0
+    """
+    x = np.linspace(-1, 1, resolution + 1)
+    z = np.linspace(0, 1, resolution // 2 + 1)
+    s = np.sqrt(1 + x ** 2)
+    corner = (x[:, None] / s[:, None] * np.arctan(x / s[:, None]) + x / s * np.arctan(x[:, None] / s)) / (2 * np.pi)
+    top = np.diff(np.diff(corner, axis=0), axis=1)
+    s = np.sqrt(1 + z ** 2)
+    corner = -np.arctan(x / s[:, None]) / (2 * np.pi * s[:, None])
+    return top, np.diff(np.diff(corner, axis=0), axis=1)
+
+
+def _faces(n, x, y):
+    """right, up, forward and whether half of it, of the top and the four sides."""
+    return [(x, y, n, False), (y, n, x, True), (-x, n, y, True), (-y, n, -x, True), (x, n, -y, True)]
+
+
+def _pixels(resolution):
+    """Directions in the frame (x, y, normal) and delta factors of all pixels in the order in which the faces lie in the atlas."""
+    top, side = delta_factors(resolution)
+    centre = (np.arange(resolution) + 0.5) * 2 / resolution - 1
+    height = (np.arange(resolution // 2) + 0.5) * 2 / resolution
+    directions, delta = [], []
+    for right, up, forward, half in _faces(*np.eye(3)[[2, 0, 1]]):
+        rows = height if half else centre
+        d = centre[None, :, None] * right + rows[:, None, None] * up + forward
+        directions.append(d.reshape(-1, 3))
+        delta.append((side if half else top).ravel())
+    return np.concatenate(directions), np.concatenate(delta)
+
+
+def eyes(surface, mesh):
+    """(N, 3) local: where the hemicube of each patch stands, and the share of the patch that lies outside solids, (N,).
+
+    The centre; where that lies in a hole or in a solid, the point nearest to the middle of what is left.
+    """
+    from lib.form_factors import _patch_points
+    from lib.rays import shifts, sobol
+    n = 32
+    p = _patch_points(n, sobol(n), shifts(len(mesh), n, 0), mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf, surface.origin, surface.axes)
+    p = np.concatenate([np.asarray(mesh.centre, float)[:, None], p.reshape(-1, n, 3)], axis=1)
+    normals = side_normals(surface)[mesh.side]
+    free = np.ones(p.shape[:2], bool)
+    if surface.inside.any():
+        v = np.broadcast_to(normals[:, None], p.shape)
+        triangle, _ = surface.caster.closest(np.concatenate([p + OFFSET * v, v], axis=2).reshape(-1, 6).astype(np.float32))
+        f = surface.facet[triangle]
+        back = np.einsum("ij,ij->i", v.reshape(-1, 3), surface.normal[f]) > 0
+        free = ((triangle < 0) | ~surface.inside[2 * f + back]).reshape(p.shape[:2])
+    exposed = free[:, 1:].mean(axis=1)
+    left = free.copy()
+    left[:, 0] = False
+    middle = (p * left[:, :, None]).sum(axis=1) / np.maximum(left.sum(axis=1), 1)[:, None]
+    far = np.linalg.norm(p - middle[:, None], axis=2) + np.where(free, 0.0, np.inf)
+    far[:, 0] = np.where(free[:, 0] & _holds(surface, mesh), -1.0, np.inf)
+    best = np.where(np.isfinite(far).any(axis=1), far.argmin(axis=1), 0)
+    return p[np.arange(len(p)), best], np.where(free[:, 1:].all(axis=1), 1.0, exposed)
+
+
+def _holds(surface, mesh):
+    """(N,) bool: the centre of the patch lies on it."""
+    f = mesh.side // 2
+    relative = mesh.centre - surface.origin[f]
+    uv = np.stack([np.einsum("ij,ij->i", relative, surface.axes[f, a]) for a in (0, 1)], axis=1)
+    t = mesh.tri_uv
+    owner = np.repeat(np.arange(len(mesh)), np.diff(mesh.tri_start))
+    cross = lambda a, b: a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    turn = np.stack([cross(t[:, (k + 1) % 3] - t[:, k], uv[owner] - t[:, k]) for k in range(3)], axis=1)
+    area = cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, None]
+    return np.bincount(owner, (turn * np.sign(area) >= -1e-9 * np.abs(area)).all(axis=1), len(mesh)) > 0
+
+
+class _Cubes:
+    """Draws hemicubes; hands out the facet that each pixel shows, -1 for none, (count, pixels) float32."""
+
+    def __init__(self, surface, resolution):
+        self.gl, self.program = _context()
+        R = self.resolution = resolution
+        self.count = max(1, min(ATLAS_PIXELS // (3 * R * R), 8192 // R))
+        facet = np.repeat(surface.facet, 3)[:, None]
+        self.buffer = self.gl.buffer(np.hstack([surface.cast.reshape(-1, 3), facet]).astype(np.float32).tobytes())
+        self.array = self.gl.vertex_array(self.program, [(self.buffer, "3f 1f", "p", "facet")])
+        # a row of the atlas is one hemicube: the top, then two times two half faces
+        size = (3 * R, self.count * R)
+        self.colour, self.depth = self.gl.texture(size, 1, dtype="f4"), self.gl.depth_texture(size)
+        self.target = self.gl.framebuffer([self.colour], self.depth)
+
+    def draw(self, eye, frames):
+        """eye (k, 3), frames (k, 3, 3) the axes x, y and the normal; k at most self.count."""
+        gl, program, R = self.gl, self.program, self.resolution
+        gl.enable_only(gl.DEPTH_TEST)
+        self.target.use()
+        self.target.clear(-1.0, -1.0, -1.0, -1.0, depth=1.0)
+        for k, (o, (x, y, n)) in enumerate(zip(eye, frames)):
+            program["eye"] = tuple(o)
+            for face, (right, up, forward, half) in enumerate(_faces(n, x, y)):
+                if half:
+                    self.target.viewport = (R + R * ((face - 1) // 2), k * R + (R // 2) * ((face - 1) % 2), R, R // 2)
+                else:
+                    self.target.viewport = (0, k * R, R, R)
+                program["right"], program["up"], program["forward"] = tuple(right), tuple(up), tuple(forward)
+                program["half_face"] = (2.0, -1.0) if half else (1.0, 0.0)
+                self.array.render()
+        shown = np.frombuffer(self.target.read(viewport=(0, 0, 3 * R, len(eye) * R), components=1, dtype="f4"), np.float32)
+        shown = shown.reshape(len(eye), R, 3 * R)
+        parts = [shown[:, :, :R].reshape(len(eye), -1)]
+        for face in range(4):
+            a, b = R + R * (face // 2), (R // 2) * (face % 2)
+            parts.append(shown[:, b:b + R // 2, a:a + R].reshape(len(eye), -1))
+        return np.concatenate(parts, axis=1)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        for thing in (self.target, self.colour, self.depth, self.array, self.buffer):
+            thing.release()
+
+
+@njit(cache=True, parallel=True)
+def _bin(shown, eye, frames, directions, delta, normal, origin, axes, size, inside, table_start, table_shape, leaf, columns):
+    """Sum of the delta factors per patch (k, N), and of what starts inside a solid and what meets no patch (k,)."""
+    out = np.zeros((len(eye), columns))
+    dropped = np.zeros(len(eye))
+    lost = np.zeros(len(eye))
+    for i in prange(len(eye)):
+        x, y, n = frames[i, 0], frames[i, 1], frames[i, 2]
+        for k in range(len(delta)):
+            if shown[i, k] < 0:
+                continue
+            f = int(shown[i, k])
+            facing, height = 0.0, 0.0
+            d = np.empty(3)
+            for c in range(3):
+                d[c] = directions[k, 0] * x[c] + directions[k, 1] * y[c] + directions[k, 2] * n[c]
+                facing += d[c] * normal[f, c]
+                height += (origin[f, c] - eye[i, c]) * normal[f, c]
+            s = 2 * f + (1 if height > 0 else 0)
+            if inside[s]:
+                dropped[i] += delta[k]
+                continue
+            if table_start[s] < 0:
+                lost[i] += delta[k]
+                continue
+            t = height / facing if facing != 0 else 0.0
+            u, v = 0.0, 0.0
+            for c in range(3):
+                p = eye[i, c] + t * d[c] - origin[f, c]
+                u += p * axes[f, 0, c]
+                v += p * axes[f, 1, c]
+            nu, nv = table_shape[s, 0], table_shape[s, 1]
+            a = min(max(int(u / size[f, 0] * nu), 0), nu - 1)
+            b = min(max(int(v / size[f, 1] * nv), 0), nv - 1)
+            patch = leaf[table_start[s] + a * nv + b]
+            for da in range(-1, 2):                      # a pixel on a slanted border: the next cell inside
+                for db in range(-1, 2):
+                    if patch < 0 and 0 <= a + da < nu and 0 <= b + db < nv:
+                        patch = leaf[table_start[s] + (a + da) * nv + b + db]
+            if patch >= 0:
+                out[i, patch] += delta[k]
+            else:
+                lost[i] += delta[k]
+    return out, dropped, lost
+
+
+def rows(surface, mesh, *, resolution=128, progress=None) -> Rows:
+    """F between all patches from one hemicube per patch, `resolution` pixels wide (even).
+
+    A patch that lies wholly in a solid sees nothing. Raises NoGraphics, in one line, where there is no EGL.
+    """
+    if resolution < 2 or resolution % 2:
+        raise ValueError(f"hemicube: a resolution of {resolution} is not an even number of pixels")
+    directions, delta = _pixels(resolution)
+    normals = side_normals(surface)[mesh.side]
+    frames = np.concatenate([surface.axes[mesh.side // 2], normals[:, None]], axis=1)
+    eye, exposed = eyes(surface, mesh)
+    eye = eye + OFFSET * normals
+    entries, indices, count, valid, lost = [], [], [], [], []
+    with _Cubes(surface, resolution) as cubes:
+        for a in range(0, len(mesh), cubes.count):
+            b = min(a + cubes.count, len(mesh))
+            F, inside, nowhere = _bin(cubes.draw(eye[a:b], frames[a:b]), eye[a:b], frames[a:b], directions, delta, surface.normal,
+                                      surface.origin, surface.axes, surface.size, surface.inside, mesh.table_start, mesh.table_shape,
+                                      mesh.leaf, len(mesh))
+            blind = (inside > 0.5) | (exposed[a:b] == 0)   # a point is in a solid or it is not; the rest is rounding at its edges
+            F[blind], nowhere[blind] = 0, 0
+            inside = np.where(blind, 1, inside)
+            at = np.nonzero(F)
+            entries.append(np.bincount(at[0], minlength=b - a))
+            indices.append(at[1])
+            count.append(F[at])
+            valid.append(1 - inside)
+            lost.append(nowhere)
+            if progress is not None:
+                progress(b / len(mesh))
+    # counted in pixels of mean weight; one picture has no halves to compare, so both are alike
+    n = float(len(delta))
+    valid = np.concatenate(valid)
+    share = np.where(valid > 0, exposed, 0)
+    count = np.concatenate(count) * n * np.repeat(share, np.concatenate(entries))
+    lost, valid = np.concatenate(lost) * n * share, valid * n * share
+    return Rows(np.concatenate([[0], np.cumsum(np.concatenate(entries))]).astype(np.int64), np.concatenate(indices).astype(np.int32),
+                count.astype(np.float32), (count / 2).astype(np.float32), valid.astype(np.float32), (valid / 2).astype(np.float32),
+                np.full(len(mesh), len(delta)), lost.astype(np.float32), len(mesh))
