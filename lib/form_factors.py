@@ -114,18 +114,21 @@ def _patch_rays(first, last, n, points, shift, side, tri_start, tri_uv, tri_cdf,
 
 
 @njit(cache=True, parallel=True)
-def _point_rays(ray_start, first, last, points, shift, point_start, p, side, axes, normal):
+def _point_rays(ray_start, first, last, points, shift, other, point_start, p, side, axes, normal):
     """Rays of the elements first..last; element i owns the points p[point_start[i]:point_start[i + 1]] (M, 3)."""
     base = ray_start[first]
     out = np.empty((ray_start[last] - base, 6), np.float32)
     for i in prange(first, last):
         f = side[i] >> 1
         nrm = normal[f] * (1.0 - 2.0 * (side[i] & 1))
-        h0, _, h2, h3 = shift[i]
         m = point_start[i + 1] - point_start[i]
-        for k in range(ray_start[i + 1] - ray_start[i]):
+        n = ray_start[i + 1] - ray_start[i]
+        for j in range(n):
+            # the halves are scrambled independently: their errors are, too (reflectance.py corrects with them)
+            k = j if j < (n + 1) // 2 else j - (n + 1) // 2
+            h0, _, h2, h3 = shift[i] if j < (n + 1) // 2 else other[i]
             q = point_start[i] + min(m - 1, int(((points[k, 0] ^ h0) + 0.5) / 4294967296.0 * m))
-            row = ray_start[i] - base + k
+            row = ray_start[i] - base + j
             for d in range(3):
                 out[row, d] = p[q, d] + OFFSET * nrm[d]
             _cosine(((points[k, 2] ^ h2) + 0.5) / 4294967296.0, ((points[k, 3] ^ h3) + 0.5) / 4294967296.0,
@@ -279,9 +282,9 @@ def gather(surface: Surface, mesh: Mesh, points, point_start, side, n_rays, *, s
     """
     ray_start = np.concatenate([[0], np.cumsum(n_rays)]).astype(np.int64)
     most = int(np.max(n_rays, initial=1))
-    sequence, shift = sobol(most), shifts(len(side), most, seed)
+    sequence, shift, other = sobol(most), shifts(len(side), most, seed), shifts(len(side), most, seed + 1)
     return _rows(surface, mesh, ray_start, lambda a, b: _point_rays(
-        ray_start, a, b, sequence, shift, np.asarray(point_start, np.int64), points,
+        ray_start, a, b, sequence, shift, other, np.asarray(point_start, np.int64), points,
         np.asarray(side, np.int32), surface.axes, surface.normal), progress)
 
 

@@ -49,6 +49,7 @@ class Problem:
 
     def __post_init__(self):
         self.photograph = Tiles(self.pixels, self.start)
+        self.pixel_noise = _pixel_noise(self)
 
     @property
     def channels(self):
@@ -94,6 +95,7 @@ class Light:
         self.G = problem.G if G is None else G
         self.F = F.toarray() if hasattr(F, "toarray") and F.shape[0] <= DENSE_LIMIT else F
         self.derivative = None       # of the last linearisation: where the next block solve starts
+        self.residual = None
 
     def _apply(self, scale):
         """scale : (N, K) rho of each patch in each column."""
@@ -178,6 +180,23 @@ class _Layout:
     def size(self):
         return len(self.rho) + len(self.E) + self.gamma
 
+    @property
+    def channel(self):
+        return np.concatenate([self.rho[:, 1], self.E[:, 1]]).astype(int)
+
+    def pack(self, state):
+        return np.concatenate([state.rho[tuple(self.rho.T)], state.E[tuple(self.E.T)], [state.gamma] * self.gamma])
+
+    def unpack(self, theta, state):
+        rho, E, n = state.rho.copy(), state.E.copy(), len(self.rho)
+        rho[tuple(self.rho.T)] = theta[:n]
+        E[tuple(self.E.T)] = theta[n:n + len(self.E)]
+        return rho, E, float(theta[-1]) if self.gamma else state.gamma
+
+    def bounds(self):
+        n, m = len(self.rho), len(self.E)
+        return (np.concatenate([np.zeros(n + m), [0.2] * self.gamma]), np.concatenate([np.ones(n), np.full(m, np.inf), [8.0] * self.gamma]))
+
 
 def _layout(problem):
     used = np.isin(np.arange(len(problem.groups)), np.concatenate([problem.tile_group, problem.patch_group]))
@@ -185,56 +204,63 @@ def _layout(problem):
     return _Layout(rho, np.argwhere(np.isnan(problem.emittance)), problem.fit_gamma)
 
 
-def _jacobian(problem, light, layout, state, irradiance):
-    """dB/dtheta, (T, C, n) without gamma; derivatives of the patches by one block solve."""
-    n_rho, n_E = len(layout.rho), len(layout.E)
-    channel = np.concatenate([layout.rho[:, 1], layout.E[:, 1]]).astype(int)
+def _patch_derivative(problem, light, layout, state, irradiance):
+    """db/dtheta of the patches, (N, n) without gamma, by one block solve."""
+    n_rho = len(layout.rho)
+    channel = layout.channel
     scale = state.rho[problem.patch_group].astype(np.float32)
-    rhs = np.zeros((len(problem.area), n_rho + n_E), np.float32)
+    rhs = np.zeros((len(problem.area), len(channel)), np.float32)
     for k, (g, c) in enumerate(layout.rho):
         rhs[:, k] = np.where(problem.patch_group == g, irradiance[:, c], 0)
     for k, (lamp, c) in enumerate(layout.E):
         rhs[:, n_rho + k] = scale[:, c] * problem.D[:, lamp]
     # the exact residual decides where the iteration ends; its derivative only how fast
-    db, _, _ = radiosity.gmres(light._apply(scale[:, channel]), rhs, tolerance=3e-3, x0=light.derivative)
-    light.derivative = db
-    reaching = light.G @ db                                                             # (T, n)
+    light.derivative, _, _ = radiosity.gmres(light._apply(scale[:, channel]), rhs, tolerance=3e-3, x0=light.derivative)
+    return light.derivative
+
+
+def _jacobian(problem, layout, state, db, G):
+    """dB/dtheta of the tiles, (T, C, n), zero for gamma; G : (T, N) which rays the tiles gather with."""
+    n_rho = len(layout.rho)
+    reaching = G @ db                                                                   # (T, n)
     rho_tile = state.rho[problem.tile_group]
-    tile_irradiance = light.tiles(state.rho, state.E, state.b)
+    irradiance = problem.D_tile @ state.E + G @ state.b
     J = np.zeros((len(problem.tile_group), problem.channels, layout.size))
-    for k, c in enumerate(channel):
+    for k, c in enumerate(layout.channel):
         J[:, c, k] = rho_tile[:, c] * reaching[:, k]
         if k < n_rho:
             mine = problem.tile_group == layout.rho[k, 0]
-            J[mine, c, k] += tile_irradiance[mine, c]
+            J[mine, c, k] += irradiance[mine, c]
         else:
             J[:, c, k] += rho_tile[:, c] * problem.D_tile[:, layout.E[k - n_rho, 0]]
     return J
 
 
-def _residual(problem, state, gamma):
+def _residual(problem, B, gamma):
     """Display value of synthesis minus photograph per tile, (T, C), and its derivative in B and in gamma."""
     metric = _metric(problem, gamma)
     seen, seen_slope = _observe(problem, gamma)
-    residual = metric.value(state.B) - metric.value(seen)
-    slope = metric.slope(state.B)
+    residual = metric.value(B) - metric.value(seen)
+    slope = metric.slope(B)
     by_gamma = np.zeros_like(residual)
     if problem.fit_gamma:
         def fixed(B):            # d (B ** (1 / gamma)) / d gamma at fixed B: the factor -1 / gamma^2 missing in eq. 4.2
             B = np.maximum(B, 1e-12)
             return -metric.value(B) * np.log(B) / gamma ** 2
-        by_gamma = fixed(state.B) - fixed(seen) - metric.slope(seen) * seen_slope
+        by_gamma = fixed(B) - fixed(seen) - metric.slope(seen) * seen_slope
     return residual, slope, by_gamma
 
 
-def _weights(problem, residual, noise):
-    """Weight of each tile and channel: pixel noise falls with the tile's size, model error does not; residuals far
-    out (a texture, a reflection the model does not know) are held down (Huber at 2.5)."""
-    n = problem.n_pixels[:, None]
-    floor = noise[1]
-    variance = noise[0] ** 2 / n + floor ** 2
-    z = np.abs(residual) / np.sqrt(variance)
-    return np.minimum(1, 2.5 / np.maximum(z, 1e-12)) / variance
+def _variance(problem, residual):
+    """Variance of each tile, (T, 1): pixel noise falls with the tile's size, what the model lacks does not."""
+    typical = 1.4826 * float(np.median(np.abs(residual))) if residual.size else 0.0
+    return problem.pixel_noise ** 2 / problem.n_pixels[:, None] + min(max(typical, 5e-4), 0.05) ** 2
+
+
+def _weights(problem, residual):
+    """(T, C): residuals far out (a texture, a reflection the model does not know) are held down (Huber at 2.5)."""
+    variance = _variance(problem, residual)
+    return np.minimum(1, 2.5 * np.sqrt(variance) / np.maximum(np.abs(residual), 1e-12)) / variance
 
 
 def _pixel_noise(problem):
@@ -245,74 +271,123 @@ def _pixel_noise(problem):
     return max(1.4826 * float(np.median(np.abs(step[inner]))) / np.sqrt(2), 0.3 / 255) if inner.any() else 0.01
 
 
+class _Equations:
+    """The problem linearised at a state: residual r and Jacobian J in display values, per half of the tiles' rays too."""
+
+    def __init__(self, problem, light, layout, rho, E, gamma, x0=None):
+        self.p, self.light, self.layout = problem, light, layout
+        b, self.irradiance = light.solve(rho, E, x0)
+        self.state = State(rho, E, gamma, rho[problem.tile_group] * light.tiles(rho, E, b), b)
+        self.residual, self.slope, self.by_gamma = _residual(problem, self.state.B, gamma)
+
+    def jacobian(self, G=None, slope=None, by_gamma=None):
+        """(T C, n) with the full rays or with those of G."""
+        if not hasattr(self, "db"):
+            self.db = _patch_derivative(self.p, self.light, self.layout, self.state, self.irradiance)
+        J = (self.slope if slope is None else slope)[:, :, None] * _jacobian(self.p, self.layout, self.state, self.db, self.light.G if G is None else G)
+        if self.layout.gamma:
+            J[:, :, -1] = self.by_gamma if by_gamma is None else by_gamma
+        return J.reshape(-1, self.layout.size)
+
+    def half(self, G):
+        """Residual (T C,) and Jacobian (T C, n) as one half of the tiles' rays see them."""
+        s = self.state
+        B = s.rho[self.p.tile_group] * (self.p.D_tile @ s.E + G @ s.b)
+        residual, slope, by_gamma = _residual(self.p, B, s.gamma)
+        return residual.reshape(-1), self.jacobian(G, slope, by_gamma)
+
+    def prior(self):
+        """Of the groups never seen: gradient (n,) and Hessian diagonal (n,)."""
+        gradient, diagonal = np.zeros(self.layout.size), np.zeros(self.layout.size)
+        mean, spread = _prior(self.p, self.state.rho)
+        for k in np.flatnonzero(~np.isin(self.layout.rho[:, 0], self.p.tile_group)):
+            g, c = self.layout.rho[k]
+            diagonal[k] = 1 / spread[c] ** 2
+            gradient[k] = (self.state.rho[g, c] - mean[c]) * diagonal[k]
+        return gradient, diagonal
+
+    def cost(self, weight):
+        gradient, diagonal = self.prior()
+        return float((weight * self.residual ** 2).sum() + (gradient ** 2 / np.where(diagonal > 0, diagonal, 1)).sum())
+
+
 def gauss_newton(problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e-5, trace=None) -> Result:
-    """All unknown reflectances, lamps and gamma together, damped Gauss-Newton with bounds (Levenberg-Marquardt)."""
+    """All unknown reflectances, lamps and gamma together: Levenberg-Marquardt with bounds and Huber weights, then a
+    few steps that take away the bias which the sampling noise of the tiles' own light leaves in least squares
+    (errors in the regressors): the two halves of each tile's rays err independently, so J of one half against the
+    residual of the other has no such bias."""
     layout = _layout(problem)
     light = Light(problem)
     rho, E = initialise(problem, gamma)
     gamma = gamma if problem.fit_gamma else problem.metric.transfer.gamma
-    n_rho, n_E = len(layout.rho), len(layout.E)
-    noise = (_pixel_noise(problem), 0.004)
-    unseen = ~np.isin(layout.rho[:, 0], problem.tile_group)
+    low, high = layout.bounds()
     damping, converged, iteration = 1e-3, False, 0
-
-    def evaluate(rho, E, gamma, x0=None):
-        b, irradiance = light.solve(rho, E, x0)
-        state = State(rho, E, gamma, rho[problem.tile_group] * light.tiles(rho, E, b), b)
-        return state, irradiance, *_residual(problem, state, gamma)
-
-    def cost_of(residual, rho, weight):
-        prior, spread = _prior(problem, rho)
-        c = layout.rho[unseen, 1]
-        return float((weight * residual ** 2).sum() + (((rho[layout.rho[unseen, 0], c] - prior[c]) / spread[c]) ** 2).sum())
-
-    state, irradiance, residual, slope, by_gamma = evaluate(rho, E, gamma)
+    at = _Equations(problem, light, layout, rho, E, gamma)
     while True:
-        rmse = _rmse(problem, residual)
         if trace:
-            trace(iteration=iteration, image_rmse=rmse, state=state)
-        if iteration >= max_iterations or converged or layout.size == 0:
-            converged = converged or layout.size == 0
+            trace(iteration=iteration, image_rmse=_rmse(problem, at.residual), state=at.state)
+        if converged or iteration >= max_iterations or layout.size == 0 or len(problem.tile_group) == 0:
             break
         iteration += 1
-        typical = 1.4826 * float(np.median(np.abs(residual))) if len(residual) else 0.0
-        noise = (noise[0], min(max(typical, 5e-4), 0.05))
-        weight = _weights(problem, residual, noise)
-        J = slope[:, :, None] * _jacobian(problem, light, layout, state, irradiance)
-        if layout.gamma:
-            J[:, :, -1] = by_gamma
-        J = J.reshape(-1, layout.size)
-        H = J.T @ (weight.reshape(-1, 1) * J)
-        g = J.T @ (weight * residual).reshape(-1)
-        prior, spread = _prior(problem, state.rho)
-        for k in np.flatnonzero(unseen):
-            group, c = layout.rho[k]
-            H[k, k] += 1 / spread[c] ** 2
-            g[k] += (state.rho[group, c] - prior[c]) / spread[c] ** 2
-        theta = np.concatenate([state.rho[tuple(layout.rho.T)], state.E[tuple(layout.E.T)], [state.gamma] * layout.gamma])
-        low = np.concatenate([np.zeros(n_rho + n_E), [0.2] * layout.gamma])
-        high = np.concatenate([np.ones(n_rho), np.full(n_E, np.inf), [8.0] * layout.gamma])
-        cost = cost_of(residual, state.rho, weight)
-        accepted = False
+        weight = _weights(problem, at.residual)
+        J = at.jacobian()
+        gradient, diagonal = at.prior()
+        H = J.T @ (weight.reshape(-1, 1) * J) + np.diag(diagonal)
+        g = J.T @ (weight * at.residual).reshape(-1) + gradient
+        theta, cost = layout.pack(at.state), at.cost(weight)
         for _ in range(12):
             step = _bounded_step(H, g, theta, low, high, damping)
-            new = theta + step
-            rho, E = state.rho.copy(), state.E.copy()
-            rho[tuple(layout.rho.T)] = new[:n_rho]
-            E[tuple(layout.E.T)] = new[n_rho:n_rho + n_E]
-            trial = evaluate(rho, E, float(new[-1]) if layout.gamma else state.gamma, state.b)
-            if cost_of(trial[2], rho, weight) <= cost * (1 + 1e-9) + 1e-12:
-                accepted, damping = True, max(damping / 10, 1e-9)
+            trial = _Equations(problem, light, layout, *layout.unpack(theta + step, at.state), at.state.b)
+            if trial.cost(weight) <= cost * (1 + 1e-9) + 1e-12:
+                damping = max(damping / 10, 1e-9)
                 break
             damping = max(damping, 1e-6) * 10
-        if not accepted:
-            converged = np.max(np.abs(step) / np.maximum(np.abs(theta), 0.01)) < 100 * tolerance
+        else:
+            converged = bool(_relative(step, theta) < 100 * tolerance)
             break
-        state, irradiance, residual, slope, by_gamma = trial
-        converged = bool(np.max(np.abs(step) / np.maximum(np.abs(theta), 0.05)) < tolerance)
-    result = Result(state, converged, iteration, rmse, tile_residual=residual, residual=light.residual)
-    _uncertainty(problem, light, layout, result, residual, slope, by_gamma, irradiance, noise)
+        at = trial
+        converged = bool(_relative(step, theta) < tolerance)
+    converged = converged or layout.size == 0
+    if problem.halves and converged and layout.size and len(problem.tile_group):
+        at, steps = _unbiased(problem, layout, at, tolerance)
+        iteration += steps
+        if trace:
+            trace(iteration=iteration, image_rmse=_rmse(problem, at.residual), state=at.state)
+    result = Result(at.state, converged, iteration, _rmse(problem, at.residual), tile_residual=at.residual, residual=light.residual)
+    if layout.size:
+        _uncertainty(problem, layout, at, result)
     return result
+
+
+def _relative(step, theta):
+    return float(np.max(np.abs(step) / np.maximum(np.abs(theta), 0.05), initial=0.0))
+
+
+def _unbiased(problem, layout, at, tolerance, max_steps=8):
+    """From the least-squares solution to the root of  J0' W r1 + J1' W r0 + prior = 0  (halves as instruments for each
+    other). Kept only if its steps die away; otherwise the least-squares solution stands."""
+    start = at
+    weight = _weights(problem, at.residual).reshape(-1)
+    low, high = layout.bounds()
+    last = np.inf
+    for steps in range(1, max_steps + 1):
+        (r0, J0), (r1, J1) = at.half(problem.halves[0]), at.half(problem.halves[1])
+        gradient, diagonal = at.prior()
+        cross = J0.T @ (weight[:, None] * J1)
+        H = (cross + cross.T) / 2 + np.diag(diagonal)
+        g = (J0.T @ (weight * r1) + J1.T @ (weight * r0)) / 2 + gradient
+        if np.linalg.eigvalsh(H / np.sqrt(np.outer(np.diag(H), np.diag(H))))[0] <= 1e-9 if (np.diag(H) > 0).all() else True:
+            return start, 0
+        theta = layout.pack(at.state)
+        step = _bounded_step(H, g, theta, low, high, 0.0)
+        size = _relative(step, theta)
+        if size > 0.9 * last:
+            return start, 0
+        last = size
+        at = _Equations(problem, at.light, layout, *layout.unpack(theta + step, at.state), at.state.b)
+        if size < 10 * tolerance:
+            return at, steps
+    return start, 0
 
 
 def _bounded_step(H, g, theta, low, high, damping):
@@ -346,72 +421,52 @@ def group_rmse(problem, residual):
     return np.sqrt(_group_mean(problem, (residual ** 2).mean(axis=1, keepdims=True))[:, 0])
 
 
-def _uncertainty(problem, light, layout, result, residual, slope, by_gamma, irradiance, noise):
-    """Covariance of the parameters (see the module's README section): tile residuals (pixel noise, texture, tile
-    sampling) by the sandwich formula; then, each as a perturbation of all tiles pushed through the same normal
-    equations: the patches' discretisation (half of the sub-cell correction), and the sampling of the form
-    factors (two disjoint halves of the rays). Groups never seen enter through their prior."""
-    n = layout.size
-    if n == 0:
-        return
-    state = result.state
-    J = slope[:, :, None] * _jacobian(problem, light, layout, state, irradiance)
-    if layout.gamma:
-        J[:, :, -1] = by_gamma
-    J = J.reshape(-1, n)
-    weight = _weights(problem, residual, noise).reshape(-1)
-    H = J.T @ (weight[:, None] * J)
-    unseen = ~np.isin(layout.rho[:, 0], problem.tile_group)
-    _, spread = _prior(problem, state.rho)
-    prior = np.zeros((n, n))
-    for k in np.flatnonzero(unseen):
-        prior[k, k] = 1 / spread[layout.rho[k, 1]] ** 2
-    scale = 1 / np.sqrt(np.maximum(np.diag(H + prior), 1e-300))
-    inverse = scale[:, None] * np.linalg.pinv((H + prior) * np.outer(scale, scale), rcond=1e-12, hermitian=True) * scale
-    score = (weight * residual.reshape(-1))[:, None] * J
-    # residuals of one tile in different channels go together
-    score = score.reshape(len(residual), -1, n).sum(axis=1)
-    model_noise = J.T @ ((weight ** 2 * np.repeat(noise[0] ** 2 / problem.n_pixels, problem.channels))[:, None] * J)
-    cov = inverse @ (score.T @ score + model_noise + prior) @ inverse
+def _uncertainty(problem, layout, at, result):
+    """Standard deviations of all parameters, from four causes.
+
+    Tile residuals (pixel noise, texture, the tiles' own sampling) by the sandwich formula; then, each as a change of
+    all tiles pushed through the same normal equations: the patches' discretisation (half of what the sub-cell
+    correction changes) and the sampling of the form factors (two disjoint halves of the rays). Groups never seen
+    enter through their prior.
+    """
+    n, state = layout.size, at.state
+    J = at.jacobian()
+    weight = _weights(problem, at.residual).reshape(-1)
+    prior = np.diag(at.prior()[1])
+    H = J.T @ (weight[:, None] * J) + prior
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    inverse = scale[:, None] * np.linalg.pinv(H * np.outer(scale, scale), rcond=1e-12, hermitian=True) * scale
+    by_tile = lambda rows: rows.reshape(-1, problem.channels, n).sum(axis=1)      # channels of one tile go together
+    score = by_tile((weight * at.residual.reshape(-1))[:, None] * J)
+    pixel = np.repeat(problem.pixel_noise ** 2 / problem.n_pixels, problem.channels)
+    cov = inverse @ (score.T @ score + J.T @ ((weight ** 2 * pixel)[:, None] * J) + prior) @ inverse
 
     def push(dB):
         """(n,) change of the parameters that a change dB (T, C) of the synthesis causes."""
-        return -inverse @ (J.T @ (weight * (slope * dB).reshape(-1)))
+        return -inverse @ (J.T @ (weight * (at.slope * dB).reshape(-1)))
 
     rho_tile = state.rho[problem.tile_group]
-    terms = {}
-    # discretisation: half of what the sub-cell correction changed
-    terms["discretisation"] = 0.5 * push(rho_tile * (light.G @ state.b - problem.G_plain @ state.b))
+    terms = {"discretisation": 0.5 * push(rho_tile * (at.light.G @ state.b - problem.G_plain @ state.b))}
     if problem.halves:
         G0, G1, F0, F1 = problem.halves
-        solved = [Light(problem, F, problem.G) for F in (F0, F1)]
-        b0, b1 = (s.solve(state.rho, state.E, state.b)[0] for s in solved)
+        b0, b1 = (Light(problem, F, problem.G).solve(state.rho, state.E, state.b)[0] for F in (F0, F1))
         terms["form factors"] = 0.5 * push(rho_tile * (problem.G @ (b0 - b1)))
-        # rays of the tiles: independent from tile to tile
-        dB = 0.5 * rho_tile * ((G0 - G1) @ state.b)
-        each = (J * weight[:, None]).reshape(len(dB), problem.channels, n) * (slope * dB)[:, :, None]
-        each = each.sum(axis=1)
+        each = by_tile((weight * (at.slope * 0.5 * rho_tile * ((G0 - G1) @ state.b)).reshape(-1))[:, None] * J)
         cov = cov + inverse @ (each.T @ each) @ inverse
-    relative = np.zeros(n)
+    theta = layout.pack(state)
+    n_rho = len(layout.rho)
+    seen = np.append(np.isin(layout.rho[:, 0], problem.tile_group), np.ones(n - n_rho, bool))
     for name, delta in terms.items():
-        # one realisation can vanish by chance: not below the root mean square of the group's kind, relative to the value
-        theta = np.concatenate([state.rho[tuple(layout.rho.T)], state.E[tuple(layout.E.T)], [state.gamma] * layout.gamma])
-        ratio = delta / np.maximum(np.abs(theta), 0.02)
-        kind = np.concatenate([np.zeros(len(layout.rho)), np.ones(len(layout.E)), np.full(int(layout.gamma), 2)])
-        for value in np.unique(kind):
-            mine = (kind == value) & np.concatenate([~unseen, np.ones(n - len(unseen), bool)])
-            if mine.any():
-                floor = np.median(np.abs(ratio[mine])) if value == 0 else 0.0
-                relative[mine] = np.maximum(np.abs(ratio[mine]), floor)
-        sigma = relative * np.maximum(np.abs(theta), 0.02)
-        cov = cov + np.diag(sigma ** 2)
-        result.shares[name] = float(np.median(relative[:len(layout.rho)])) if len(layout.rho) else 0.0
+        # one realisation can vanish by chance: no reflectance below the median of them all, relative to its value
+        size = np.abs(delta) / np.maximum(np.abs(theta), 0.02)
+        common = float(np.median(size[:n_rho][seen[:n_rho]])) if seen[:n_rho].any() else 0.0
+        size[:n_rho] = np.where(seen[:n_rho], np.maximum(size[:n_rho], common), size[:n_rho])
+        cov = cov + np.diag((size * np.maximum(np.abs(theta), 0.02)) ** 2)
+        result.shares[name] = common
     sigma = np.sqrt(np.maximum(np.diag(cov), 0))
-    shape = state.rho.shape
-    result.sigma_rho = np.zeros(shape)
-    result.sigma_rho[tuple(layout.rho.T)] = sigma[:len(layout.rho)]
-    result.sigma_E = np.zeros(state.E.shape)
-    result.sigma_E[tuple(layout.E.T)] = sigma[len(layout.rho):len(layout.rho) + len(layout.E)]
+    result.sigma_rho, result.sigma_E = np.zeros(state.rho.shape), np.zeros(state.E.shape)
+    result.sigma_rho[tuple(layout.rho.T)] = sigma[:n_rho]
+    result.sigma_E[tuple(layout.E.T)] = sigma[n_rho:n_rho + len(layout.E)]
     result.sigma_gamma = float(sigma[-1]) if layout.gamma else None
 
 
