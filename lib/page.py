@@ -256,7 +256,7 @@ def _plot(series, *, x, y, title, logx=False, logy=False, xlim=None, ylim=None, 
         return low - pad, high + pad
 
     (x0, x1), (y0, y1) = limits(xlim, 0, logx), limits(ylim, 1, logy)
-    left, right, top, bottom = 62, 14, 12, 46
+    left, right, top, bottom = 66, 14, 12, 46
     X = lambda v: left + (v - x0) / (x1 - x0) * (width - left - right)
     Y = lambda v: height - bottom - (v - y0) / (y1 - y0) * (height - top - bottom)
     out = [f'<svg class="plot" viewBox="0 0 {width} {height}" role="img" aria-label="{esc(title)}">']
@@ -544,6 +544,8 @@ def _transfer(parts, transfer):
             words += f', truth {fixed(truth["gamma"], 3)}'
         if _finite(sigma) and 0 < 3 * sigma < gamma:
             bands.append((B, B ** (1 / (gamma - 3 * sigma)), B ** (1 / (gamma + 3 * sigma))))
+    if transfer["kind"] == "linear" and (truth or transfer).get("kind") == "linear":
+        return "<p class=note>Linear: what is displayed is the light itself, nothing to find.</p>"
     series.append(("found", B, T(B), "a"))
     if truth and truth.get("kind") in ("gamma", "linear", "srgb", "curve"):
         series.append(("truth", B, display_function(truth)(B), "dash"))
@@ -607,7 +609,7 @@ def _convergence(parts):
         if figure:
             plots.append(f"<div><h3>{esc(stage)}</h3>{figure}</div>")
         for k in keys:
-            if "gamma" in k:
+            if "gamma" in k and len({t.get(k) for t in trace}) > 1:
                 figure = _plot([(plain(k), seconds, [t.get(k) for t in trace], "a")], x="CPU seconds", y=plain(k), title=f"{stage}: {plain(k)} against CPU time", logx=True)
                 plots += [f"<div><h3>{esc(stage)}: {esc(plain(k))}</h3>{figure}</div>"] if figure else []
     return _section("Convergence", f'<div class="two even">{"".join(plots)}</div>' if plots else "",
