@@ -768,6 +768,7 @@ td b{font-weight:600}
 .swatch{display:block;width:38px;height:38px;border-radius:8px;box-shadow:inset 0 0 0 1px rgba(128,128,128,.35)}
 .swatch.none{background:repeating-linear-gradient(45deg,var(--line) 0 4px,transparent 4px 8px)}
 .first{width:50px}
+th small .pill{margin-top:4px}
 .spread{display:block}
 svg text{fill:var(--muted);font-size:12px}
 svg .label{fill:var(--ink);font-size:12.5px}
