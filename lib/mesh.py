@@ -64,12 +64,14 @@ def surface(model, lamps=()) -> Surface:
     corners = local.points(model.vertices)[model.triangles]
     facet = np.ascontiguousarray(model.triangle_facet, np.int32)
     normal = np.ascontiguousarray(model.facet_normal, float)
+    can = ray_tools.occluders(corners, facet)
+    lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps if g in model.groups])
+    inside = _inside(model, local, corners, facet, normal, lamp_facet)
+    corners, covered = _lift(corners, facet, normal, inside, lamp_facet)
+    inside |= covered
     order = np.argsort(facet, kind="stable").astype(np.int64)
     start = np.searchsorted(facet[order], np.arange(len(normal) + 1)).astype(np.int64)
     origin, axes, size = _frames(corners, order, start, normal)
-    lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps if g in model.groups])
-    inside = _inside(model, local, corners, facet, normal, lamp_facet)
-    can = ray_tools.occluders(corners, facet)
     # Solids are cast a hair thinner than they are: a ray inside a cabinet then meets the cabinet, not the wall that its back touches.
     thinner = 0.3 * OFFSET * (inside[0::2].astype(float) - inside[1::2])[:, None] * normal
     cast = corners + thinner[facet][:, None, :]
@@ -141,6 +143,84 @@ def _inside(model, local, corners, facet, normal, lamp_facet):
         for back in (0, 1):
             inside[2 * mine + back] = odd(middle[mine] + (1 - 2 * back) * 4 * OFFSET * normal[mine])
     return inside
+
+
+def _lift(corners, facet, normal, inside, last):
+    """Facets that lie on each other, a board drawn exactly on a wall or two sheets back to back, moved apart by two
+    ray offsets each: corners (T, 3, 3), and which sides are then wholly covered, (2 F,) bool.
+
+    The order is that of the index buffer: what turns its front to us wins, then the later one in the file (lamps
+    last of all). Rays that start on what is covered meet the covered side above them and are dropped, as in a solid.
+    The side of a solid that touches a wall stays: solids are cast thinner.
+    """
+    from scipy.spatial import cKDTree
+    F = len(normal)
+    covered = np.zeros(2 * F, bool)
+    first = np.unique(facet, return_index=True)[1]
+    offset = np.einsum("ij,ij->i", corners[first, 0], normal)
+    turn = np.where(normal[np.arange(F), np.abs(normal).argmax(axis=1)] < 0, -1.0, 1.0)
+    pairs = cKDTree(np.column_stack([normal, offset]) * turn[:, None]).query_pairs(OFFSET, output_type="ndarray")
+    if len(pairs) == 0:
+        return corners, covered
+    rank = np.lexsort((np.arange(F), last)).argsort()
+    solid = inside[0::2] | inside[1::2]
+    area = np.bincount(facet, 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1), F)
+    order = np.argsort(facet, kind="stable")
+    start = np.searchsorted(facet[order], np.arange(F + 1))
+    level = np.zeros(F, int)
+    hidden = np.zeros(2 * F)
+    swap = rank[pairs[:, 0]] > rank[pairs[:, 1]]
+    pairs[swap] = pairs[swap][:, ::-1]
+    for i, j in pairs[np.argsort(rank[pairs[:, 1]], kind="stable")]:
+        alike = normal[i] @ normal[j] > 0
+        if not alike and (solid[i] or solid[j]):
+            continue
+        common = _common_area(corners[order[start[i]:start[i + 1]]], corners[order[start[j]:start[j + 1]]], normal[i])
+        if common <= 1e-6 * min(area[i], area[j]):
+            continue
+        if alike:
+            level[j] = max(level[j], level[i] + 1)
+            hidden[2 * j + 1] += common / area[j]
+        else:
+            level[[i, j]] = np.maximum(level[[i, j]], 1)
+            hidden[2 * i + 1] += common / area[i]
+            hidden[2 * j + 1] += common / area[j]
+    covered = hidden > 0.99
+    return corners + (2 * OFFSET * level[:, None] * normal)[facet][:, None, :], covered
+
+
+@njit(cache=True)
+def _common_area(P, Q, n):
+    """Area of the overlap of two sets of triangles in one plane with the normal n."""
+    total = 0.0
+    a = np.zeros((12, 3))
+    b = np.zeros((12, 3))
+    for p in P:
+        for q in Q:
+            m = 3
+            a[:3] = q
+            turn = 1.0 if np.dot(np.cross(p[1] - p[0], p[2] - p[0]), n) > 0 else -1.0
+            for e in range(3):
+                inward = turn * np.cross(n, p[(e + 1) % 3] - p[e])
+                k = 0
+                for i in range(m):
+                    u, v = a[i], a[(i + 1) % m]
+                    du, dv = np.dot(u - p[e], inward), np.dot(v - p[e], inward)
+                    if du >= 0:
+                        b[k] = u
+                        k += 1
+                    if (du > 0 and dv < 0) or (du < 0 and dv > 0):
+                        b[k] = u + (v - u) * (du / (du - dv))
+                        k += 1
+                a[:k] = b[:k]
+                m = k
+                if m == 0:
+                    break
+            vector = np.zeros(3)
+            for i in range(1, m - 1):
+                vector += np.cross(a[i] - a[0], a[i + 1] - a[0])
+            total += 0.5 * abs(np.dot(vector, n))
+    return total
 
 
 # -- cutting
