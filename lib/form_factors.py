@@ -234,8 +234,18 @@ def _fill(keys, ray_start, first, last, indptr):
 
 def _trace(surface: Surface, mesh: Mesh, rays):
     triangle, distance = surface.caster.closest(rays)
-    return _locate(rays, triangle, distance, surface.facet, surface.normal, surface.origin, surface.axes, surface.size,
-                   surface.inside, mesh.table_start, mesh.table_shape, mesh.leaf), distance
+    hit = _locate(rays, triangle, distance, surface.facet, surface.normal, surface.origin, surface.axes, surface.size,
+                  surface.inside, mesh.table_start, mesh.table_shape, mesh.leaf)
+    hit[buried(surface, rays, triangle)] = DROPPED
+    return hit, distance
+
+
+def buried(surface: Surface, rays, triangle):
+    """(k,) int: rays that start in a solid and yet meet an outer side first, that of another solid which overlaps the first."""
+    if not surface.overlap.any():
+        return np.zeros(0, int)
+    doubtful = np.flatnonzero((triangle >= 0) & (surface.overlap[surface.facet[triangle]] != 0))
+    return doubtful[surface.caster.winding(rays[doubtful], surface.overlap, surface.facet, surface.normal) > 0]
 
 
 def _rows(surface, mesh, ray_start, make, progress=None) -> Rows:
@@ -471,10 +481,12 @@ def patch_direct(surface: Surface, mesh: Mesh, lamps, n_lamps, *, n_points, n_sa
     is_open = np.ones(len(p), bool)
     if surface.inside.any():
         n = normals[normal_idx]
-        triangle, _ = surface.caster.closest(np.hstack([p + OFFSET * n, n]).astype(np.float32))
+        up = np.hstack([p + OFFSET * n, n]).astype(np.float32)
+        triangle, _ = surface.caster.closest(up)
         f = surface.facet[triangle]
         back = np.einsum("ij,ij->i", n, surface.normal[f]) > 0
         is_open = (triangle < 0) | ~surface.inside[2 * f + back]
+        is_open[buried(surface, up, triangle)] = False
     return direct(surface, lamps, p, normals, normal_idx, n_lamps, n_samples=n_samples, seed=seed,
                   start=np.arange(len(mesh) + 1) * n_points, weight=is_open)
 

@@ -14,8 +14,8 @@ import functools
 import numpy as np
 from numba import njit, prange
 
-from lib.form_factors import Rows, side_normals
-from lib.rays import OFFSET
+from lib.form_factors import Rows, _patch_points, buried, side_normals
+from lib.rays import OFFSET, shifts, sobol
 
 NEAR, FAR = 1e-6, 4.0        # in diagonals of the model
 ATLAS_PIXELS = 1 << 22       # drawn between two readings
@@ -97,8 +97,6 @@ def eyes(surface, mesh):
 
     The centre; where that lies in a hole or in a solid, the point nearest to the middle of what is left.
     """
-    from lib.form_factors import _patch_points
-    from lib.rays import shifts, sobol
     n = 32
     p = _patch_points(n, sobol(n), shifts(len(mesh), n, 0), mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf, surface.origin, surface.axes)
     p = np.concatenate([np.asarray(mesh.centre, float)[:, None], p.reshape(-1, n, 3)], axis=1)
@@ -106,10 +104,13 @@ def eyes(surface, mesh):
     free = np.ones(p.shape[:2], bool)
     if surface.inside.any():
         v = np.broadcast_to(normals[:, None], p.shape)
-        triangle, _ = surface.caster.closest(np.concatenate([p + OFFSET * v, v], axis=2).reshape(-1, 6).astype(np.float32))
+        up = np.concatenate([p + OFFSET * v, v], axis=2).reshape(-1, 6).astype(np.float32)
+        triangle, _ = surface.caster.closest(up)
         f = surface.facet[triangle]
         back = np.einsum("ij,ij->i", v.reshape(-1, 3), surface.normal[f]) > 0
-        free = ((triangle < 0) | ~surface.inside[2 * f + back]).reshape(p.shape[:2])
+        free = (triangle < 0) | ~surface.inside[2 * f + back]
+        free[buried(surface, up, triangle)] = False
+        free = free.reshape(p.shape[:2])
     exposed = free[:, 1:].mean(axis=1)
     left = free.copy()
     left[:, 0] = False

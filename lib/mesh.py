@@ -38,6 +38,7 @@ class Surface:
     shadows: Caster              # facets that can occlude, lamps among them
     n_occluders: int
     cast: np.ndarray             # (T, 3, 3) float64 local: corners as they are cast, solids a hair thinner
+    overlap: np.ndarray          # (F,) int8: of a solid that may reach into another: 1 where its inside is at the back, -1 at the front; else 0
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,7 @@ def surface(model, lamps=()) -> Surface:
     can = ray_tools.occluders(corners, facet)
     lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps if g in model.groups])
     inside = _inside(model, local, corners, facet, normal, lamp_facet)
+    overlap = _overlap(corners, facet, model.facet_object, inside)
     corners, covered = _lift(corners, facet, normal, inside, lamp_facet)
     inside |= covered
     order = np.argsort(facet, kind="stable").astype(np.int64)
@@ -77,7 +79,7 @@ def surface(model, lamps=()) -> Surface:
     cast = corners + thinner[facet][:, None, :]
     return Surface(local, corners, facet, normal, np.asarray(model.facet_group, np.int32), np.asarray(model.facet_object, np.int32),
                    origin, axes, size, inside, tuple(model.groups), Caster(cast), Caster(cast[can[facet]]),
-                   int(can[~lamp_facet].sum()), cast)
+                   int(can[~lamp_facet].sum()), cast, overlap)
 
 
 @njit(cache=True)
@@ -145,6 +147,19 @@ def _inside(model, local, corners, facet, normal, lamp_facet):
     return inside
 
 
+def _overlap(corners, facet, objects, inside):
+    """Facets of solids whose bounding box reaches into that of another solid, see Surface.overlap. Inside one of them a ray
+    may first meet the outside of the other; whether it started in a solid is then counted along the whole ray."""
+    turn = inside[1::2].astype(np.int8) - inside[0::2]
+    solids = np.unique(np.asarray(objects)[turn != 0])
+    owner = np.asarray(objects)[facet]
+    boxes = np.array([[c.min(axis=(0, 1)), c.max(axis=(0, 1))] for c in (corners[owner == o] for o in solids)]).reshape(-1, 2, 3)
+    reach = np.minimum(boxes[:, None, 1], boxes[None, :, 1]) - np.maximum(boxes[:, None, 0], boxes[None, :, 0])      # (S, S, 3)
+    meets = (reach > 4 * OFFSET).all(axis=2)
+    np.fill_diagonal(meets, False)
+    return np.where(np.isin(objects, solids[meets.any(axis=1)]), turn, 0).astype(np.int8)
+
+
 def _lift(corners, facet, normal, inside, last):
     """Facets that lie on each other, a board drawn exactly on a wall or two sheets back to back, moved apart by two
     ray offsets each: corners (T, 3, 3), and which sides are then wholly covered, (2 F,) bool.
@@ -171,17 +186,17 @@ def _lift(corners, facet, normal, inside, last):
     hidden = np.zeros(2 * F)
     swap = rank[pairs[:, 0]] > rank[pairs[:, 1]]
     pairs[swap] = pairs[swap][:, ::-1]
-    for i, j in pairs[np.argsort(rank[pairs[:, 1]], kind="stable")]:
-        alike = normal[i] @ normal[j] > 0
-        if not alike and (solid[i] or solid[j]):
-            continue
-        common = _common_area(corners[order[start[i]:start[i + 1]]], corners[order[start[j]:start[j + 1]]], normal[i])
-        if common <= 1e-6 * min(area[i], area[j]):
-            continue
-        if alike:
+    pairs = pairs[np.argsort(rank[pairs[:, 1]], kind="stable")]
+    alike = np.einsum("ij,ij->i", normal[pairs[:, 0]], normal[pairs[:, 1]]) > 0
+    common = np.array([_common_area(corners[order[start[i]:start[i + 1]]], corners[order[start[j]:start[j + 1]]], normal[i]) for i, j in pairs])
+    meet = common > 1e-6 * area[pairs].min(axis=1)
+    touching = np.zeros(F, bool)
+    touching[pairs[meet & ~alike].ravel()] = True
+    for (i, j), alike, common in zip(pairs[meet], alike[meet], common[meet]):
+        if alike and not (solid[j] and touching[j]):
             level[j] = max(level[j], level[i] + 1)
             hidden[2 * j + 1] += common / area[j]
-        else:
+        elif not alike and not solid[i] and not solid[j]:
             level[[i, j]] = np.maximum(level[[i, j]], 1)
             hidden[2 * i + 1] += common / area[i]
             hidden[2 * j + 1] += common / area[j]

@@ -59,6 +59,14 @@ class Caster:
         """How many triangles each ray crosses, (n,) int: odd from inside a closed surface."""
         return self._scene.count_intersections(self._tensor(np.ascontiguousarray(rays, np.float32))).numpy()
 
+    def winding(self, rays, turn, facet, normal):
+        """How many solids each ray starts in, (n,): it leaves one more of them than it enters. turn : (F,) see mesh.Surface.overlap"""
+        met = self._scene.list_intersections(self._tensor(np.ascontiguousarray(rays, np.float32)))
+        ray = met["ray_ids"].numpy().astype(np.int64)
+        f = facet[met["primitive_ids"].numpy().astype(np.int64)]
+        leaves = np.sign(np.einsum("ij,ij->i", rays[ray, 3:], normal[f])) * turn[f]
+        return np.rint(np.bincount(ray, leaves, len(rays))).astype(int)
+
 
 def occluders(corners, facet_of_triangle) -> np.ndarray:
     """Which facets can stand between two points of the model, (F,) bool.
