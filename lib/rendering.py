@@ -87,7 +87,8 @@ class Texture:
 
     start : (2 F,) int64 into value, -1: nothing reflects there      shape : (2 F, 2) int32      value : (K, C) float32
     irradiance : (K, C)  the same before reflection                good : (K,) bool, in the facet and outside solids
-    direct : (K, C) the part of `value` that comes from the lamps at once        step : local, about the width of a texel
+    direct : (K, C) the part of `value` that comes from the lamps at once        between : (K, C) irradiance from others
+    step : local, about the width of a texel
     rho : (F, C)
     """
     start: np.ndarray
@@ -96,6 +97,7 @@ class Texture:
     irradiance: np.ndarray
     good: np.ndarray
     direct: np.ndarray
+    between: np.ndarray
     step: float
     rho: np.ndarray
 
@@ -123,9 +125,7 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, light: Light, exposed, rho_f
     p = surface.origin[f] + uv[:, :1] * surface.axes[f, 0] + uv[:, 1:] * surface.axes[f, 1]
     normals = form_factors.side_normals(surface)
 
-    order = np.argsort(surface.facet, kind="stable").astype(np.int64)
-    first = np.searchsorted(surface.facet[order], np.arange(len(surface.normal) + 1)).astype(np.int64)
-    good = _within(p, f, surface.corners[order], first, normals[2 * f])
+    good = _within(p, f, *_triangles(surface), normals[2 * f])
     good &= ~_buried(surface, p, side, normals)
     at = np.flatnonzero(good)
     irradiance = np.zeros((len(p), E.shape[1]), np.float32)
@@ -147,11 +147,11 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, light: Light, exposed, rho_f
     if n_rays:
         # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches
         _fill(between, good, start[sides], count)
-        once = Texture(start, shape, first + between * rho[f], irradiance, good, first, float(step), rho)
+        once = Texture(start, shape, first + between * rho[f], irradiance, good, first, between, float(step), rho)
         ones = np.arange(len(at))
         between[at] = _sent(surface, once, lamps, E, p[at], ones, ones + 1, side[at], n_rays, 650)[0]
     _fill(between, good, start[sides], count)
-    return Texture(start, shape, first + between * rho[f], irradiance + between, good, first, float(step), rho)
+    return Texture(start, shape, first + between * rho[f], irradiance + between, good, first, between, float(step), rho)
 
 
 def _patch_at(mesh, side, index, shape, cells):
@@ -239,18 +239,7 @@ def _within(p, facet, corners, start, normal):
     """(M,) bool: the point lies in one of its facet's triangles."""
     out = np.zeros(len(p), np.bool_)
     for i in prange(len(p)):
-        for t in range(start[facet[i]], start[facet[i] + 1]):
-            inside = True
-            for e in range(3):
-                a, b = corners[t, e], corners[t, (e + 1) % 3]
-                x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-                y0, y1, y2 = p[i, 0] - a[0], p[i, 1] - a[1], p[i, 2] - a[2]
-                if (x1 * y2 - x2 * y1) * normal[i, 0] + (x2 * y0 - x0 * y2) * normal[i, 1] + (x0 * y1 - x1 * y0) * normal[i, 2] < 0:
-                    inside = False
-                    break
-            if inside:
-                out[i] = True
-                break
+        out[i] = _holds(p[i], corners, start[facet[i]], start[facet[i] + 1], normal[i])
     return out
 
 
@@ -331,38 +320,148 @@ def pixels(surface: Surface, camera, facet) -> Pixels:
     number[y, x] = np.arange(len(x))
     f = facet[y, x].astype(np.int32)
     p, side = backproject(surface, camera, f, y.astype(np.int64) * camera.width + x)
+    _pull_in(p, f, *_triangles(surface), surface.normal)
     return Pixels(x, y, f, side, p, key, bits, number)
 
 
-def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, *, few=4, many=64) -> tuple:
+def _triangles(surface):
+    """The corners of all triangles facet by facet (T, 3, 3), and where each facet's begin (F + 1,)."""
+    order = np.argsort(surface.facet, kind="stable").astype(np.int64)
+    return surface.corners[order], np.searchsorted(surface.facet[order], np.arange(len(surface.normal) + 1)).astype(np.int64)
+
+
+@njit(cache=True, parallel=True)
+def _pull_in(p, facet, corners, first, normal):
+    """A pixel on the rim of a facet may lie a hair outside it, behind the next wall: it moves to the nearest place inside."""
+    for i in prange(len(p)):
+        f = facet[i]
+        if _holds(p[i], corners, first[f], first[f + 1], normal[f]):
+            continue
+        best = np.inf
+        nearest = p[i].copy()
+        for t in range(first[f], first[f + 1]):
+            middle = (corners[t, 0] + corners[t, 1] + corners[t, 2]) / 3
+            for e in range(3):
+                a, b = corners[t, e], corners[t, (e + 1) % 3]
+                d = b - a
+                along = min(max(np.dot(p[i] - a, d) / max(np.dot(d, d), 1e-300), 0.0), 1.0)
+                q = a + along * d
+                distance = np.dot(p[i] - q, p[i] - q)
+                if distance < best:
+                    best = distance
+                    inward = middle - q
+                    nearest = q + inward * min(1.0, 4 * OFFSET / max(np.sqrt(np.dot(inward, inward)), 1e-300))
+        p[i] = nearest
+
+
+def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, many=64) -> tuple:
     """Factor of each pixel to each lamp with soft shadows, (M, L), and how many pixels lay in a penumbra.
 
+    The exact factor of the lamp's polygon at the pixel's centre times its visible share, from shadow rays that begin
+    all over the pixel: a shadow narrower than a pixel darkens it in proportion.
     few : shadow rays per pixel and emitter everywhere;  many : where the pixels of a 5 x 5 neighbourhood disagree
     """
     factor = np.zeros((len(pixels), n_lamps))
     normals = form_factors.side_normals(surface)
     unshadowed = replace(surface, n_occluders=0)
+    view = _view(surface, camera)
     uncertain = 0
     for number, lamp in enumerate(lamps):
-        one = [replace(lamp, lamp=0)]
-
-        def factors(where, scene, n, seed=0):
-            return form_factors.direct(scene, one, pixels.p[where], normals, pixels.side[where], 1, n_samples=n, seed=seed)[:, 0]
-
-        whole = factors(slice(None), unshadowed, 1)
+        whole = form_factors.direct(unshadowed, [replace(lamp, lamp=0)], pixels.p, normals, pixels.side, 1, n_samples=1)[:, 0]
         if surface.n_occluders == 0:
             factor[:, lamp.lamp] += whole
             continue
         lit = np.flatnonzero(whole > 0)
         visible = np.zeros(len(pixels))
-        visible[lit] = factors(lit, surface, few, seed=number) / whole[lit]
+        visible[lit] = _visible(surface, lamp, pixels, lit, view, few, number)
         penumbra = np.flatnonzero(_disagree(visible, whole > 0, pixels.number, pixels.facet, pixels.x, pixels.y))
         uncertain += len(penumbra)
         if len(penumbra):
-            visible[penumbra] = factors(penumbra, surface, many, seed=number + 500) / whole[penumbra]
+            visible[penumbra] = _visible(surface, lamp, pixels, penumbra, view, many, number + 500)
             visible[penumbra] = _smoothed(visible, penumbra, pixels.number, pixels.facet, pixels.x, pixels.y, 0.7 / many ** 0.75)
         factor[:, lamp.lamp] += whole * visible
     return factor, uncertain
+
+
+def _view(surface, camera):
+    """What turns a place in the picture into a ray, in local coordinates: centre (3,), and (3, 3) with v = M (x, y, 1)."""
+    M = camera.T_cam_world[:3, :3].T @ np.linalg.inv(camera.K)
+    return surface.local.points(camera.centre), M, *_triangles(surface)
+
+
+def _visible(surface, lamp, pixels, which, view, n, seed):
+    """Share of the lamp's light that reaches each pixel of `which`, from n shadow rays."""
+    sequence = sobol(n)
+    share = np.zeros(len(which))
+    step = max(1, CHUNK // n)
+    for a in range(0, len(which), step):
+        some = which[a:a + step]
+        rays, weight = _shadow_rays(some, n, sequence, shifts(len(some), n, seed), pixels.x, pixels.y, pixels.side, pixels.p, *view,
+                                    surface.origin, surface.normal, lamp.corners, lamp.normal, lamp.cdf)
+        share[a:a + step] = _share(weight, surface.shadows.occluded(rays, 1 - 1e-4))
+    return share
+
+
+@njit(cache=True, parallel=True)
+def _share(weight, occluded):
+    m, n = weight.shape
+    out = np.zeros(m)
+    for i in prange(m):
+        total, seen = 0.0, 0.0
+        for k in range(n):
+            total += weight[i, k]
+            if not occluded[i * n + k]:
+                seen += weight[i, k]
+        out[i] = seen / total if total > 0 else 0.0
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _shadow_rays(which, n, sequence, shift, px, py, side, centres, eye, M, corners, first, origin, normal, lamp, front, cdf):
+    rays = np.empty((len(which) * n, 6), np.float32)
+    weight = np.empty((len(which), n), np.float32)
+    for j in prange(len(which)):
+        i = which[j]
+        f = side[i] >> 1
+        sign = 1.0 - 2.0 * (side[i] & 1)
+        height = 0.0
+        for d in range(3):
+            height += (origin[f, d] - eye[d]) * normal[f, d]
+        p = np.empty(3)
+        for k in range(n):
+            x = px[i] + ((sequence[k, 2] ^ shift[j, 2]) + 0.5) / 4294967296.0 - 0.5
+            y = py[i] + ((sequence[k, 3] ^ shift[j, 3]) + 0.5) / 4294967296.0 - 0.5
+            along = 0.0
+            for d in range(3):
+                p[d] = M[d, 0] * x + M[d, 1] * y + M[d, 2]
+                along += p[d] * normal[f, d]
+            scale = height / along if abs(along) > 1e-12 else -1.0
+            for d in range(3):
+                p[d] = eye[d] + scale * p[d]
+            if scale <= 0 or not _holds(p, corners, first[f], first[f + 1], normal[f]):
+                for d in range(3):                        # off the facet: its centre, which is on it
+                    p[d] = centres[i, d]
+            u = ((sequence[k, 0] ^ shift[j, 0]) + 0.5) / 4294967296.0
+            v = ((sequence[k, 1] ^ shift[j, 1]) + 0.5) / 4294967296.0
+            weight[j, k] = _aim(p, normal[f], sign, u, v, lamp, front, cdf, rays, j * n + k)
+    return rays, weight
+
+
+@njit(cache=True, inline="always")
+def _holds(p, corners, a, b, normal):
+    """Whether one of the triangles a to b of a facet holds the point of its plane."""
+    for t in range(a, b):
+        inside = True
+        for e in range(3):
+            o, q = corners[t, e], corners[t, (e + 1) % 3]
+            x0, x1, x2 = q[0] - o[0], q[1] - o[1], q[2] - o[2]
+            y0, y1, y2 = p[0] - o[0], p[1] - o[1], p[2] - o[2]
+            if (x1 * y2 - x2 * y1) * normal[0] + (x2 * y0 - x0 * y2) * normal[1] + (x0 * y1 - x1 * y0) * normal[2] < 0:
+                inside = False
+                break
+        if inside:
+            return True
+    return False
 
 
 @njit(cache=True, parallel=True)
@@ -410,8 +509,8 @@ def _smoothed(visible, which, number, facet, x, y, sigma):
 class Leaves:
     """Blocks of pixels of one facet: pixels first to last in Morton's order; the block is 2^level wide.
 
-    q : (K, 2) px, mean position;  irradiance : (K, C);  sigma : (K,) sampling error relative to the total light
-    distance : (K,) local, harmonic mean distance of what is seen;  extent : (K,) local, the block's largest width
+    q : (K, 2) px, mean position;  extent : (K,) local, the block's largest width;  irradiance : (K, C)
+    distance : (K,) local, harmonic mean distance of what is seen;  noise : (K,) of the irradiance;  rays : (K,) that it took
     """
     first: np.ndarray
     last: np.ndarray
@@ -421,6 +520,7 @@ class Leaves:
     irradiance: np.ndarray
     distance: np.ndarray
     noise: np.ndarray
+    rays: np.ndarray
 
     def __len__(self):
         return len(self.first)
@@ -445,37 +545,42 @@ def _blocks(pixels: Pixels, first, last, level):
     return member[begin], member[begin] + length
 
 
-def gather(surface: Surface, shown: Texture, lamps, E, pixels: Pixels, total_direct, *, n_rays=256, largest=5, smallest=1,
-           contact=0.35, tolerance=0.01, trace=None) -> Leaves:
-    """Indirect light at the leaves, refined from blocks 2^largest px wide down to 2^smallest.
+def gather(surface: Surface, shown: Texture, lamps, E, pixels: Pixels, total_direct, *, n_rays=256, contact=0.35, tolerance=0.01,
+           trace=None) -> Leaves:
+    """Indirect light at the leaves, refined from blocks of a 15th of the picture down to 2 px.
 
     total_direct : (M, C) direct irradiance of the pixels, the scale of what an error means
+    n_rays : rays in the end at a leaf an eighth as wide as the largest; twice as many at one twice as wide, because the
+        noise of a wide leaf is a blotch, that of a narrow one is not seen and averages out
     contact : a leaf wider than this times the harmonic mean distance of what it sees is split
     tolerance : and one whose light its neighbours do not foretell to this share of its total light
     """
-    first, last = _blocks(pixels, np.zeros(1, np.int64), np.array([len(pixels)]), largest)
-    done, fresh = None, None
+    smallest, largest = 1, max(2, round(np.log2(max(min(pixels.number.shape) / 15, 1))))
     brightness = total_direct.mean(axis=1)
+    first, last = _blocks(pixels, np.zeros(1, np.int64), np.array([len(pixels)]), largest)
+    done = None
     for level in range(largest, smallest - 1, -1):
-        fresh = _gathered(surface, shown, lamps, E, pixels, first, last, level, n_rays)
+        fresh = _gathered(surface, shown, lamps, E, pixels, first, last, level, max(16, n_rays // 2))
         everything = fresh if done is None else Leaves.joined(done, fresh)
-        if level == smallest:
-            done = everything
-            break
-        facet = pixels.facet[everything.first]
-        _, foretold = _neighbourhoods(everything, facet)
+        weight = everything.last - everything.first
+        _, foretold = _neighbourhoods(everything, pixels.facet[everything.first])
         total = _means(brightness, everything.first, everything.last) + everything.irradiance.mean(axis=1)
-        floor = 0.05 * np.average(total, weights=everything.last - everything.first)
-        error = np.abs(foretold - everything.irradiance).mean(axis=1) / (total + floor)
-        wide = everything.extent > contact * everything.distance
-        split = (wide | (error > np.maximum(tolerance, 3 * everything.noise / (total + floor))))
-        split &= (everything.level == level) & (everything.last - everything.first > 4)
-        if trace:
-            trace(places=len(everything), indirect_error=float(np.sqrt(np.average(error ** 2, weights=everything.last - everything.first))))
+        floor = 0.05 * np.average(total, weights=weight) if len(weight) else 0.0
+        error = np.abs(foretold - everything.irradiance).mean(axis=1) / np.maximum(total + floor, 1e-300)
+        if trace and len(weight):
+            trace(places=len(everything), foretold_error=float(np.sqrt(np.average(error ** 2, weights=weight))))
+        split = everything.extent > contact * everything.distance
+        split |= error > np.maximum(tolerance, 3 * everything.noise / np.maximum(total + floor, 1e-300))
+        split &= (everything.level == level) & (weight > 4) & (level > smallest)
         done = everything[~split]
         if not split.any():
             break
         first, last = _blocks(pixels, everything.first[split], everything.last[split], level - 1)
+    for level in np.unique(done.level):
+        mine = np.flatnonzero(done.level == level)
+        n = int(max(16, n_rays * 2.0 ** (level - largest + 3)))
+        done.irradiance[mine] = _sent(surface, shown, lamps, E, pixels.p, done.first[mine], done.last[mine], pixels.side[done.first[mine]], n, 950 + level)[0]
+        done.rays[mine] = n
     return done
 
 
@@ -491,7 +596,7 @@ def _gathered(surface, shown, lamps, E, pixels, first, last, level, n_rays) -> L
     low, high = _bounds(pixels.p, first, last)
     extent = np.linalg.norm(high - low, axis=1)
     noise = np.abs(half).mean(axis=1)
-    return Leaves(first, last, np.full(len(first), level), q, extent, total, distance, noise)
+    return Leaves(first, last, np.full(len(first), level), q, extent, total, distance, noise, np.full(len(first), n_rays))
 
 
 def _sent(surface, shown, lamps, E, p, first, last, side, n_rays, seed):
@@ -708,50 +813,132 @@ def _splat(q, level, fits, leaf_facet, first, last, number, facet, x, y):
     return total
 
 
-# -- the picture
+# -- the picture, and its mixed pixels
 
-def radiosities(pixels: Pixels, irradiance, surface: Surface, rho, E, lamp_groups, shape):
-    """(H, W, C) linear picture at the pixels' centres: what each reflects, and what the front of a lamp emits."""
-    group = surface.group[pixels.facet]
-    B = rho[group] * irradiance
-    for lamp, lamp_group in enumerate(lamp_groups):
-        B[(group == lamp_group) & (pixels.side & 1 == 0)] += E[lamp]
-    picture = np.zeros((*shape, rho.shape[1]))
-    picture[pixels.y, pixels.x] = B
-    return picture
+@dataclass(frozen=True)
+class Fragments:
+    """The A-buffer: what pixels show that hold more than one facet.
 
-
-def blend(picture, facet, coverage, surface: Surface, shown: Texture, camera, rho, E, lamp_groups):
-    """The A-buffer: mixed pixels become the mean of what their fragments show, weighted with their area (linear light).
-
-    A fragment of the pixel's own facet has the pixel's radiosity, any other that of its facet's pixels next to
-    it; a facet too thin to own a pixel nearby is looked up in its texture.
-    coverage : dict pixel (P,), start (P + 1,), facet (S,), count (S,) of 64
+    pixel : (P,) flat index;  start : (P + 1,) into the fragments;  facet, side : (S,);  share : (S,) of the pixel
+    p : (S, 3) local, the middle of what is seen of it;  owner : (S * 64,) the fragment of each sub-pixel, -1;  at : (S * 64, 3)
     """
+    pixel: np.ndarray
+    start: np.ndarray
+    facet: np.ndarray
+    side: np.ndarray
+    share: np.ndarray
+    p: np.ndarray
+    owner: np.ndarray
+    at: np.ndarray
+    seen: np.ndarray
+
+
+def fragments(surface: Surface, camera, coverage) -> Fragments:
+    """Where the camera sees each fragment: rays through the 8 x 8 sub-pixels.  coverage : pixel, start, facet, count of 64."""
     from lib.gather import backproject
     pixel, start = np.asarray(coverage["pixel"], np.int64), np.asarray(coverage["start"], np.int64)
-    fragment, count = np.asarray(coverage["facet"], np.int64), np.asarray(coverage["count"], float)
-    value, found = _beside(picture, facet, pixel, start, fragment)
-    thin = np.flatnonzero(~found)
-    if len(thin):
-        owner = np.repeat(pixel, np.diff(start))[thin]
-        f = fragment[thin]
-        p, side = backproject(surface, camera, f, owner)
-        relative = p - surface.origin[f]
-        uv = np.einsum("ij,iaj->ia", relative, surface.axes[f]) / np.maximum(surface.size[f], 1e-300)
-        n = shown.shape[side]
-        cell = np.clip(np.nan_to_num(uv * n), 0, n - 1).astype(np.int64)
-        at = shown.start[side]
-        group = surface.group[f]
-        irradiance = shown.irradiance[np.maximum(at, 0) + cell[:, 0] * n[:, 1] + cell[:, 1]] * (at >= 0)[:, None] if len(shown.irradiance) else 0
-        value[thin] = rho[group] * irradiance
-        for lamp, lamp_group in enumerate(lamp_groups):
-            value[thin[(group == lamp_group) & (side & 1 == 0)]] += E[lamp]
-    mixed = np.zeros((len(pixel), picture.shape[2]))
-    np.add.at(mixed, np.repeat(np.arange(len(pixel)), np.diff(start)), value * (count / 64)[:, None])
-    result = picture.copy()
-    result.reshape(-1, picture.shape[2])[pixel] = mixed
-    return result
+    facet = np.asarray(coverage["facet"], np.int32)
+    p, side = backproject(surface, camera, facet, np.repeat(pixel, np.diff(start)))
+    offsets = (np.arange(8) + 0.5) / 8 - 0.5
+    sub = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+    q = (np.stack([pixel % camera.width, pixel // camera.width], axis=1)[:, None] + sub).reshape(-1, 2)
+    owner, at = np.full(len(q), -1, np.int32), np.zeros((len(q), 3))
+    eye = surface.local.points(camera.centre)
+    for a in range(0, len(q), CHUNK):
+        v = camera.rays(q[a:a + CHUNK])
+        triangle, t = surface.caster.closest(np.hstack([np.broadcast_to(eye, v.shape), v]).astype(np.float32))
+        _sort_out(a, v, triangle, eye, start, facet, surface.facet, surface.normal, surface.origin, owner, at)
+    mine = owner >= 0
+    number = np.bincount(owner[mine], minlength=len(facet))
+    for d in range(3):
+        p[:, d] = np.where(number > 0, np.bincount(owner[mine], at[mine, d], len(facet)) / np.maximum(number, 1), p[:, d])
+    return Fragments(pixel, start, facet, side, np.asarray(coverage["count"], float) / 64, p, owner, at, number > 0)
+
+
+@njit(cache=True, parallel=True)
+def _sort_out(base, v, triangle, eye, start, facet, facet_of, normal, origin, owner, at):
+    for k in prange(len(v)):
+        if triangle[k] < 0:
+            continue
+        i = (base + k) // 64
+        f = facet_of[triangle[k]]
+        for j in range(start[i], start[i + 1]):
+            if facet[j] == f:
+                height, along = 0.0, 0.0
+                for d in range(3):
+                    height += (origin[f, d] - eye[d]) * normal[f, d]
+                    along += v[k, d] * normal[f, d]
+                owner[base + k] = j
+                for d in range(3):
+                    at[base + k, d] = eye[d] + v[k, d] * height / (along if abs(along) > 1e-12 else 1e-12)
+
+
+def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays_each=2):
+    """Factor of each fragment to each lamp (S, L), shadow rays from each sub-pixel: a shadow in the corner beside a thin
+    board is darker in the pixel where it lies than anywhere else."""
+    factor = np.zeros((len(fragments.facet), n_lamps))
+    normals = form_factors.side_normals(surface)
+    unshadowed = replace(surface, n_occluders=0)
+    # the sub-pixels of a fragment, in an order of no direction, take one point after the other of one good set
+    which = np.flatnonzero(fragments.owner >= 0)
+    which = which[np.lexsort((which * 37 % 64, fragments.owner[which]))]
+    rank = np.arange(len(which)) - np.searchsorted(fragments.owner[which], fragments.owner[which])
+    sequence, shift = sobol(64 * rays_each), shifts(len(fragments.facet), 64 * rays_each, 77)
+    which, rank = np.repeat(which, rays_each), np.repeat(rank * rays_each, rays_each) + np.tile(np.arange(rays_each), len(which))
+    for number, lamp in enumerate(lamps):
+        whole = form_factors.direct(unshadowed, [replace(lamp, lamp=0)], fragments.p, normals, fragments.side, 1, n_samples=1)[:, 0]
+        if surface.n_occluders and len(which):
+            total, seen = np.zeros(len(whole)), np.zeros(len(whole))
+            for a in range(0, len(which), CHUNK):
+                some = which[a:a + CHUNK]
+                rays, weight = _fragment_rays(some, rank[a:a + CHUNK], sequence, shift, fragments.owner, fragments.side, fragments.at, surface.normal,
+                                              lamp.corners, lamp.normal, lamp.cdf)
+                visible = ~surface.shadows.occluded(rays, 1 - 1e-4)
+                owner = fragments.owner[some]
+                total += np.bincount(owner, weight, len(whole))
+                seen += np.bincount(owner, weight * visible, len(whole))
+            whole = whole * np.divide(seen, total, out=np.zeros_like(seen), where=total > 0)
+        factor[:, lamp.lamp] += whole
+    return factor
+
+
+@njit(cache=True, parallel=True)
+def _fragment_rays(which, rank, sequence, shift, owner, side, at, normal, lamp, front, cdf):
+    rays = np.empty((len(which), 6), np.float32)
+    weight = np.empty(len(which), np.float32)
+    for j in prange(len(which)):
+        i = which[j]
+        k, s = rank[j], side[owner[i]]
+        u = ((sequence[k, 0] ^ shift[owner[i], 0]) + 0.5) / 4294967296.0
+        v = ((sequence[k, 1] ^ shift[owner[i], 1]) + 0.5) / 4294967296.0
+        weight[j] = _aim(at[i], normal[s >> 1], 1.0 - 2.0 * (s & 1), u, v, lamp, front, cdf, rays, j)
+    return rays, weight
+
+
+@njit(cache=True, inline="always")
+def _aim(p, normal, sign, u, v, lamp, front, cdf, rays, row):
+    """Write the shadow ray from p to the point (u, v) of a lamp; returns the light that takes this way, up to a factor."""
+    t = 0
+    while t < len(cdf) - 1 and cdf[t] <= u:
+        t += 1
+    low = cdf[t - 1] if t > 0 else 0.0
+    r = np.sqrt(min(max((u - low) / (cdf[t] - low), 0.0), 1.0))
+    squared, here, there = 0.0, 0.0, 0.0
+    for d in range(3):
+        target = (1 - r) * lamp[t, 0, d] + r * (1 - v) * lamp[t, 1, d] + r * v * lamp[t, 2, d]
+        start = p[d] + OFFSET * sign * normal[d]
+        x = target + OFFSET * front[t, d] - start
+        rays[row, d] = start
+        rays[row, 3 + d] = x
+        squared += x * x
+        here += x * sign * normal[d]
+        there -= x * front[t, d]
+    return max(here, 0.0) * max(there, 0.0) / max(squared * squared, 1e-30)
+
+
+def beside(values, facet, fragments: Fragments):
+    """For each fragment the mean of `values` (H, W, C) over the nearest pixels of its facet, within three, and whether there are any."""
+    return _beside(values, facet, fragments.pixel, fragments.start, fragments.facet)
 
 
 @njit(cache=True)
@@ -787,39 +974,67 @@ def _beside(picture, facet, pixel, start, fragment):
     return value, found
 
 
+def looked_up(values, shown: Texture, surface: Surface, p, side):
+    """Nearest texels of `values` (K, C) for places on sides; 0 where a side has none."""
+    f = side // 2
+    uv = np.einsum("ij,iaj->ia", p - surface.origin[f], surface.axes[f]) / np.maximum(surface.size[f], 1e-300)
+    n = shown.shape[side]
+    cell = np.clip(np.nan_to_num(uv * n), 0, n - 1).astype(np.int64)
+    start = shown.start[side]
+    if not len(values):
+        return np.zeros((len(p), values.shape[1]))
+    return values[np.maximum(start, 0) + (cell[:, 0] * n[:, 1] + cell[:, 1]) * (start >= 0)] * (start >= 0)[:, None]
+
+
+def radiosities(irradiance, surface: Surface, facet, side, rho, E, lamp_groups):
+    """(M, C): what places on facets reflect, and what the front of a lamp emits."""
+    group = surface.group[facet]
+    B = rho[group] * irradiance
+    for lamp, lamp_group in enumerate(lamp_groups):
+        B[(group == lamp_group) & (side & 1 == 0)] += E[lamp]
+    return B
+
+
+def compose(shape, pixels: Pixels, B, fragments: Fragments, B_fragment):
+    """(H, W, C): pixels of one facet show its radiosity, mixed ones the mean of their fragments by area, in linear light."""
+    picture = np.zeros((*shape, B.shape[1]))
+    picture[pixels.y, pixels.x] = B
+    mixed = np.zeros((len(fragments.pixel), B.shape[1]))
+    np.add.at(mixed, np.repeat(np.arange(len(fragments.pixel)), np.diff(fragments.start)), B_fragment * fragments.share[:, None])
+    picture.reshape(-1, B.shape[1])[fragments.pixel] = mixed
+    return picture
+
+
 # -- local illumination, for comparison
 
-def phong(pixels: Pixels, surface: Surface, lamps, rho, E, lamp_groups, shape, wanted, counted, show):
-    """(H, W, C) linear picture by eq. 3.1 as the paper means it as a contrast: ambient light plus, from the middle of each
-    lamp's facets, (N.L) / d^2; no shadows, no interreflection, and k_s = 0 because every surface here is diffuse.
-
-    Its two free numbers per channel, ambient intensity and lamp power, are those that suit the photograph best:
-    least squares of show(B) against `wanted` (H, W, C) over the pixels `counted` (H, W).
-    Returns the picture, ambient (C,), power (C,).
-    """
-    from scipy.optimize import least_squares
-    group = surface.group[pixels.facet]
-    normal = form_factors.side_normals(surface)[pixels.side]
-    lit = np.zeros((len(pixels), E.shape[1]))
+def phong(surface: Surface, lamps, p, side, E):
+    """(M, C) light by eq. 3.1 as the paper means it as a contrast: from the middle of each lamp's facets, (N.L) / d^2, no shadows,
+    no interreflection; k_s = 0 because every surface here is diffuse. The ambient term is the caller's."""
+    normal = form_factors.side_normals(surface)[side]
+    lit = np.zeros((len(p), E.shape[1]))
     for lamp in lamps:
         area = 0.5 * np.linalg.norm(np.cross(lamp.corners[:, 1] - lamp.corners[:, 0], lamp.corners[:, 2] - lamp.corners[:, 0]), axis=1)
-        centre = (lamp.corners.mean(axis=1) * area[:, None]).sum(axis=0) / area.sum()
-        to = centre - pixels.p
+        to = (lamp.corners.mean(axis=1) * area[:, None]).sum(axis=0) / area.sum() - p
         d2 = np.maximum((to ** 2).sum(axis=1), OFFSET ** 2)
         lit += (np.maximum(np.einsum("ij,ij->i", to, normal), 0) / d2 ** 1.5 * area.sum())[:, None] * E[lamp.lamp] / np.pi
-    use = np.flatnonzero(counted[pixels.y, pixels.x])
-    use = use[::max(1, len(use) // 20000)]
-    C = E.shape[1]
-    ambient, power = np.zeros(C), np.zeros(C)
-    for c in range(C):
-        r, l, want = rho[group[use], c], lit[use, c], wanted[pixels.y[use], pixels.x[use], c]
-        level = max(float((r * l).mean()), 1e-12)
-        if not len(use) or not r.any():
+    return lit
+
+
+def ambient_and_power(r, lit, wanted, show):
+    """The two free numbers of eq. 3.1 per channel, ambient intensity and lamp power (C,): the non-negative ones of the least squares
+    of show(r (ambient + power lit)) against `wanted`, all (M, C)."""
+    from scipy.optimize import least_squares
+    some = slice(None, None, max(1, len(r) // 5000))
+    ambient, power = np.zeros(r.shape[1]), np.ones(r.shape[1])
+    for c in range(r.shape[1]):
+        x, l, want = r[some, c], lit[some, c], wanted[some, c]
+        if not x.any():
             continue
-        start = [0.3 * level / max(float(r.mean()), 1e-12), 1.0]
-        best = least_squares(lambda t: show(r * (t[0] + t[1] * l)) - want, start, bounds=([0, 0], [np.inf, np.inf]), x_scale=start)
+        level = max(float((x * l).mean()), 1e-12)
+        start = np.array([0.3 * level / float(x.mean()), 1.0])
+        best = least_squares(lambda t: show(x * (t[0] + t[1] * l)) - want, start, bounds=([0, 0], [np.inf, np.inf]), x_scale=start)
         ambient[c], power[c] = best.x
-    return radiosities(pixels, ambient + power * lit, surface, rho, E, lamp_groups, shape), ambient, power
+    return ambient, power
 
 
 # -- the whole of it
@@ -893,10 +1108,9 @@ class Scene:
 @dataclass(frozen=True)
 class Picture:
     linear: np.ndarray               # (H, W, C), anti-aliased
-    centres: np.ndarray              # (H, W, C), at the pixels' centres
     light: Light
     pixels: Pixels
-    shown: Texture
+    fragments: Fragments
     facts: dict
 
 
@@ -1018,28 +1232,42 @@ def render(scene: Scene, *, n_rays=256, shadow_rays=64, contact=0.35, tolerance=
         shown = texture(surface, mesh, lamps, E, light, exposed, rho[surface.group])
     with timing("direct"):
         seen = pixels(surface, scene.camera, scene.facet)
-        factor, penumbra = direct(surface, lamps, len(E), seen, many=shadow_rays)
+        factor, penumbra = direct(surface, lamps, len(E), seen, scene.camera, many=shadow_rays)
         irradiance = factor @ E
     with timing("indirect"):
         leaves = gather(surface, shown, lamps, E, seen, irradiance, n_rays=n_rays, contact=contact, tolerance=tolerance, trace=trace)
-        irradiance += interpolated(leaves, seen)
+        indirect = interpolated(leaves, seen)
     with timing("antialias"):
-        centres = radiosities(seen, irradiance, surface, rho, E, lamp_groups, scene.facet.shape)
-        linear = blend(centres, scene.facet, scene.coverage, surface, shown, scene.camera, rho, E, lamp_groups)
+        size = scene.facet.shape
+        pieces = fragments(surface, scene.camera, scene.coverage)
+        by_lamps, between = np.zeros((*size, scene.channels)), np.zeros((*size, scene.channels))
+        by_lamps[seen.y, seen.x], between[seen.y, seen.x] = irradiance, indirect
+        direct_there = fragment_direct(surface, lamps, len(E), pieces) @ E
+        unseen = np.flatnonzero(~pieces.seen)
+        direct_there[unseen] = beside(by_lamps, scene.facet, pieces)[0][unseen]
+        indirect_there, found = beside(between, scene.facet, pieces)
+        thin = np.flatnonzero(~found)
+        indirect_there[thin] = looked_up(shown.between, shown, surface, pieces.p[thin], pieces.side[thin])
+        linear = compose(size, seen, radiosities(irradiance + indirect, surface, seen.facet, seen.side, rho, E, lamp_groups),
+                         pieces, radiosities(direct_there + indirect_there, surface, pieces.facet, pieces.side, rho, E, lamp_groups))
     facts = {"iterations": light.iterations, "residual": light.residual, "penumbra_pixels": penumbra, "places": len(leaves),
-             "gathering_rays": len(leaves) * n_rays, "texels": len(shown.value),
+             "gathering_rays": leaves.rays.sum(), "texels": len(shown.value),
              "flux": {"emitted": light.emitted, "absorbed": light.absorbed, "escaped": light.escaped}}
-    return Picture(linear, centres, light, seen, shown, facts)
+    return Picture(linear, light, seen, pieces, facts)
 
 
 def phong_picture(scene: Scene, picture: Picture):
     """The same view by eq. 3.1, anti-aliased alike: linear picture, ambient intensity (C,), lamp power relative to the true one (C,)."""
-    lamps = form_factors.emitters(scene.surface, scene.factors.lamps)
+    surface, E, lamp_groups = scene.surface, scene.E, scene.lamp_groups
+    lamps = form_factors.emitters(surface, scene.factors.lamps)
+    seen, pieces = picture.pixels, picture.fragments
     simple = scene.kind in ("gamma", "linear", "srgb") or scene.photograph.linear
-    show = scene.show if simple else lambda B: np.clip(B, 0, 1)
-    local, ambient, power = phong(picture.pixels, scene.surface, lamps, scene.rho, scene.E, scene.lamp_groups, scene.facet.shape,
-                                  scene.wanted, scene.counted, show)
-    local = blend(local, scene.facet, scene.coverage, scene.surface, picture.shown, scene.camera, scene.rho, scene.E, scene.lamp_groups)
+    lit = phong(surface, lamps, seen.p, seen.side, E)
+    use = np.flatnonzero(scene.counted[seen.y, seen.x])
+    ambient, power = ambient_and_power(scene.rho[surface.group[seen.facet[use]]], lit[use], scene.wanted[seen.y[use], seen.x[use]],
+                                       scene.show if simple else lambda B: np.clip(B, 0, 1))
+    local = compose(scene.facet.shape, seen, radiosities(ambient + power * lit, surface, seen.facet, seen.side, scene.rho, E, lamp_groups), pieces,
+                    radiosities(ambient + power * phong(surface, lamps, pieces.p, pieces.side, E), surface, pieces.facet, pieces.side, scene.rho, E, lamp_groups))
     return local, ambient, power
 
 
@@ -1055,7 +1283,10 @@ def warm_up(channels):
     normal = np.cross(a, b) / np.linalg.norm(np.cross(a, b), axis=1)[:, None]
     vertices = np.stack([o, o + a, o + a + b, o + b], axis=1).reshape(-1, 3)
     triangles = (4 * np.arange(6)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
-    model = SimpleNamespace(vertices=vertices, triangles=triangles, triangle_facet=np.repeat(np.arange(6), 2).astype(np.int32), facet_normal=normal,
+    facet_of = np.repeat(np.arange(6), 2).astype(np.int32)
+    for array in (normal, facet_of):
+        array.setflags(write=False)                    # as a model that was read has them: kernels are compiled for either kind
+    model = SimpleNamespace(vertices=vertices, triangles=triangles, triangle_facet=facet_of, facet_normal=normal,
                             facet_group=np.array([0, 0, 0, 0, 1, 0], np.int32), facet_object=np.zeros(6, np.int32), groups=("wall", "lamp"),
                             solid_objects=lambda: np.array([False]))
     surface = meshes.surface(model, ["lamp"])
@@ -1069,6 +1300,6 @@ def warm_up(channels):
     origin = np.broadcast_to(surface.local.points(camera.centre), (441, 3))
     triangle, _ = surface.caster.closest(np.hstack([origin, camera.rays(camera.pixels().reshape(-1, 2))]).astype(np.float32))
     facet = np.where(triangle >= 0, surface.facet[triangle], -1).reshape(21, 21).astype(np.int32)
-    coverage = {"pixel": np.arange(1, dtype=np.int32), "start": np.array([0, 1], np.int32), "facet": np.zeros(1, np.int32), "count": np.array([64], np.uint8)}
+    coverage = {"pixel": np.arange(1, dtype=np.int32), "start": np.array([0, 1], np.int32), "facet": facet[0, :1], "count": np.array([64], np.uint8)}
     photograph = Photograph(np.full((21, 21, channels), 0.5), 8, False, channels)
     render(Scene(surface, camera, photograph, facet, factors, coverage, np.full((2, channels), 0.5), np.ones((1, channels)), "linear", 1.0, factors.groups), n_rays=16)
