@@ -24,8 +24,8 @@ def options():
     parser.add_argument("--method", choices=["rays", "hemicube", "analytic"], default="rays")
     parser.add_argument("--patches", type=int, default=300, help="root cells, if all had equal area")
     parser.add_argument("--max-level", type=int, default=5, help="times a root cell may be halved")
-    parser.add_argument("--contrast", type=float, default=0.02, help="unevenness of light that splits a cell")
-    parser.add_argument("--rays", type=int, default=256, help="rays per patch")
+    parser.add_argument("--contrast", type=float, default=0.01, help="unevenness of light that splits a cell")
+    parser.add_argument("--rays", type=int, default=512, help="rays per patch")
     parser.add_argument("--hemicube-px", type=int, default=128, help="edge of the hemicube")
     return parser
 
@@ -59,7 +59,7 @@ def main(opt):
         with report.timing("factors"):
             rows = rows_by(opt, surface, mesh)
         with report.timing("lamps"):
-            factor = form_factors.patch_direct(surface, mesh, lamps, len(opt.lamps), n_points=16)
+            factor = form_factors.patch_direct(surface, mesh, lamps, len(opt.lamps), n_points=32)
 
         group = surface.group[mesh.side // 2]
         area = np.bincount(surface.group, meshes.facet_areas(surface), minlength=len(model.groups)) * surface.local.diagonal ** 2

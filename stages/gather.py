@@ -20,8 +20,8 @@ def options():
     for name in ("model", "camera", "photograph", "facet", "trusted", "formfactors", "gather"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--report")
-    parser.add_argument("--rays-per-tile", type=int, default=256, help="at least so many rays from each tile")
-    parser.add_argument("--rays-per-facet", type=int, default=16384, help="and so many from each facet")
+    parser.add_argument("--rays-per-tile", type=int, default=512, help="at least so many rays from each tile")
+    parser.add_argument("--rays-per-facet", type=int, default=32768, help="and so many from each facet")
     parser.add_argument("--lamp-samples", type=int, default=4, help="shadow rays per pixel and lamp")
     return parser
 
