@@ -153,8 +153,8 @@ def _locate(rays, triangle, distance, facet, normal, origin, axes, size, inside,
         if inside[s]:
             out[k] = DROPPED
             continue
-        if table_start[s] < 0:
-            out[k] = LOST
+        if table_start[s] < 0:              # a side that sees nothing: the ray starts in the crack of a contact
+            out[k] = DROPPED
             continue
         u = 0.0
         v = 0.0
