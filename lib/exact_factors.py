@@ -211,7 +211,7 @@ def polygon_to_polygon(P, Q) -> float:
         raise ValueError("the polygon that sends has no area: its factor is not defined")
     if not a_q > 1e-14 * np.ptp(Q, axis=0).max() ** 2:
         return 0.0
-    return _contours(P, n_p / a_p, P[0], Q, n_q / a_q, Q[0], size) / a_p
+    return float(_contours(P, n_p / a_p, P[0], Q, n_q / a_q, Q[0], size) / a_p)
 
 
 def point_to_polygon(p, n, Q) -> float:
@@ -226,7 +226,7 @@ def point_to_polygon(p, n, Q) -> float:
     Q, p, n = _corners(Q), np.asarray(p, float), np.asarray(n, float)
     if not np.isfinite(p).all() or not np.linalg.norm(n) > 0:
         raise ValueError("the element needs a place and a direction")
-    return abs(polygon_factor(p, n / np.linalg.norm(n), Q, len(Q), np.empty((2 * len(Q) + 2, 3))))
+    return float(abs(polygon_factor(p, n / np.linalg.norm(n), Q, len(Q), np.empty((2 * len(Q) + 2, 3)))))
 
 
 def _corners(P):
