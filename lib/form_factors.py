@@ -626,20 +626,21 @@ def read(path) -> Factors:
 
 
 def warm_up():
-    """Load or compile every kernel on a box with a lamp and a table, so that a stage's times are those of its work."""
+    """Load or compile every kernel on a box with a lamp, a table and a mat, so that a stage's times are those of its work."""
     from types import SimpleNamespace
     from lib import mesh as meshes
     quads = [((0, 0, 0), (1, 0, 0), (0, 1, 0)), ((0, 0, 1), (0, 1, 0), (1, 0, 0)), ((0, 0, 0), (0, 1, 0), (0, 0, 1)),
-             ((1, 0, 0), (0, 0, 1), (0, 1, 0)), ((.3, .3, .9), (0, .3, 0), (.3, 0, 0)), ((.3, .3, .5), (.3, 0, 0), (0, .3, 0))]
+             ((1, 0, 0), (0, 0, 1), (0, 1, 0)), ((.3, .3, .9), (0, .3, 0), (.3, 0, 0)), ((.3, .3, .5), (.3, 0, 0), (0, .3, 0)),
+             ((.6, .6, 0), (.2, 0, 0), (0, .2, 0))]
     vertices, triangles, normal = [], [], []
     for k, (o, a, b) in enumerate(np.array(q, float) for q in quads):
         vertices += [o, o + a, o + a + b, o + b]
         triangles += [[4 * k, 4 * k + 1, 4 * k + 2], [4 * k, 4 * k + 2, 4 * k + 3]]
         n = np.cross(a, b)
         normal.append(n / np.linalg.norm(n))
-    group = np.array([0, 0, 0, 0, 1, 0], np.int32)
-    model = SimpleNamespace(vertices=np.array(vertices), triangles=np.array(triangles), triangle_facet=np.repeat(np.arange(6), 2).astype(np.int32),
-                            facet_normal=np.array(normal), facet_group=group, facet_object=np.zeros(6, np.int32), groups=("wall", "lamp"),
+    group = np.array([0, 0, 0, 0, 1, 0, 0], np.int32)
+    model = SimpleNamespace(vertices=np.array(vertices), triangles=np.array(triangles), triangle_facet=np.repeat(np.arange(7), 2).astype(np.int32),
+                            facet_normal=np.array(normal), facet_group=group, facet_object=np.zeros(7, np.int32), groups=("wall", "lamp"),
                             solid_objects=lambda: np.array([False]))
     surface = meshes.surface(model, ["lamp"])
     lamps = emitters(surface, ["lamp"])

@@ -63,8 +63,8 @@ def surface(model, lamps=()) -> Surface:
     """Facet frames, solids and ray casters. lamps: names of the groups that emit."""
     local = Local.of(model)
     corners = local.points(model.vertices)[model.triangles]
-    facet = np.ascontiguousarray(model.triangle_facet, np.int32)
-    normal = np.ascontiguousarray(model.facet_normal, float)
+    facet = np.array(model.triangle_facet, np.int32)          # copies: kernels would be compiled again for read-only arrays
+    normal = np.array(model.facet_normal, float)
     can = ray_tools.occluders(corners, facet)
     lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps if g in model.groups])
     inside = _inside(model, local, corners, facet, normal, lamp_facet)
