@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 METHODS = ("krylov", "direct", "gauss_seidel", "jacobi", "southwell", "progressive")
 
@@ -44,7 +44,7 @@ class Solution:
     trace: list = field(default_factory=list, repr=False)
 
 
-def solve(E, rho, F, *, method="krylov", tolerance=1e-6, max_iterations=10_000, x0=None, callback=None,
+def solve(E, rho, F, *, method="krylov", tolerance=1e-6, max_iterations=10_000, x0=None, callback=None, every=1,
           area=None, patch=None, ambient=False, overshoot=False) -> Solution:
     """Solve the light balance B = E + rho F B (eq. 3.2).
 
@@ -53,7 +53,7 @@ def solve(E, rho, F, *, method="krylov", tolerance=1e-6, max_iterations=10_000, 
     F : (N, N)              array or scipy.sparse; F[i, j] leaves i and reaches j; rows sum to at most 1
     tolerance               of the residual, as a part of the brightest emittance of the channel
     x0                      a first guess: the answer for slightly different rho (krylov, jacobi, gauss_seidel)
-    callback                called as callback(iteration, B) after each iteration; its time is not counted
+    callback, every         called as callback(iteration, B) after each iteration, or after so many shots; its time is not counted
     area : (N,)             progressive: patches shoot by power; default: all equal
     patch : (N,) int        progressive: the patch to which each element belongs. Patches shoot, with the mean
                             radiosity of their elements, and elements receive; default: each its own patch
@@ -92,7 +92,7 @@ def solve(E, rho, F, *, method="krylov", tolerance=1e-6, max_iterations=10_000, 
     elif method in ("gauss_seidel", "jacobi"):
         B, n, done = _sweeps(E, rho, F, target, max_iterations, x0, watch, method == "gauss_seidel")
     else:
-        B, n, done = _shots(E, rho, F, target, max_iterations, watch, method, area, patch, ambient, overshoot)
+        B, n, done = _shots(E, rho, F, target, max_iterations, watch, method, area, patch, ambient, overshoot, every)
     r = E + rho * F.times(B) - B
     residual = float(np.abs(r).max(initial=0.0))
     return Solution(B[:, 0] if one else B, residual, _bound(rho, F, residual), n, bool(done), method, watch.steps)
@@ -140,11 +140,13 @@ class Factors:
         return self.F.toarray() if self.sparse else self.F
 
 
-def _sparse_rows(indptr, indices, data, X):
-    """Four columns at a time: one pass over F serves them all, and its entries stay in registers."""
+@njit(cache=True)
+def _sparse_times(indptr, indices, data, X):
+    """Four columns at a time: one pass over F serves them all, and its entries stay in registers. On one core: these
+    products last a millisecond, and to wake another costs as much."""
     out = np.empty_like(X)
     zero = X.dtype.type(0)
-    for i in prange(len(indptr) - 1):
+    for i in range(len(indptr) - 1):
         for c in range(0, X.shape[1], 4):
             left = X.shape[1] - c
             s0, s1, s2, s3 = zero, zero, zero, zero
@@ -184,26 +186,14 @@ def _dot(f, x):
     return total
 
 
-def _dense_rows(F, X):
+@njit(cache=True)
+def _dense_times(F, X):
     out = np.empty(X.shape)
     Y = np.ascontiguousarray(X.T)
-    for i in prange(len(F)):
+    for i in range(len(F)):
         for c in range(len(Y)):
             out[i, c] = _dot(F[i], Y[c])
     return out
-
-
-_sparse_alone, _sparse_together = njit(cache=True)(_sparse_rows), njit(cache=True, parallel=True)(_sparse_rows)
-_dense_alone, _dense_together = njit(cache=True)(_dense_rows), njit(cache=True, parallel=True)(_dense_rows)
-ALONE = 10_000_000         # multiplications up to which waking the other cores costs more than they bring
-
-
-def _sparse_times(indptr, indices, data, X):
-    return (_sparse_alone if len(data) * X.shape[1] <= ALONE else _sparse_together)(indptr, indices, data, X)
-
-
-def _dense_times(F, X):
-    return (_dense_alone if F.size * X.shape[1] <= ALONE else _dense_together)(F, X)
 
 
 def product(F):
@@ -449,7 +439,7 @@ def _sparse_dot(f, index, x):
 
 # -- shooting, patch by patch (figure 3.9)
 
-def _shots(E, rho, F, target, max_iterations, watch, method, area, patch, ambient, overshoot):
+def _shots(E, rho, F, target, max_iterations, watch, method, area, patch, ambient, overshoot, every):
     """Southwell and progressive refinement: patches shoot, elements receive; B and dB as in figure 3.9.
 
     dB, what a patch has received and not yet sent, is the residual of what has been sent so far. Southwell takes the
@@ -501,7 +491,7 @@ def _shots(E, rho, F, target, max_iterations, watch, method, area, patch, ambien
         return B + rho * F.sums[:, None] * glow if ambient else B
 
     shots = 0
-    every = 1 if watch.callback is not None else max(64, n // 4)
+    every = max(1, every) if watch.callback is not None else max(64, n // 4)
     while True:
         k, left = _shoot(min(every, max_iterations - shots), table, start, index, value, F.sparse, rho, own, patch_rho, patch, share,
                          patch_area, progressive, overshoot and progressive, leaving, target, B, dB)
