@@ -493,13 +493,13 @@ def fit(problem: Problem, **options):
 
 # -- the paper's alternation
 
-def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=None, threshold=1e-3, max_inner=60, max_outer=30,
+def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=1.0, threshold=1e-3, max_inner=60, max_outer=30,
           trace=None) -> Result:
     """Section 4.5 as printed: eq. 4.3; eq. 4.4-4.6 to the threshold; gamma on eq. 4.1; repeated.
 
     damped : the correction's common factor m is damped, rho_i *= (q_i / m) m ** (1 - mean rho), on ratios of
         radiosities and symmetrised on |ln epsilon|; the printed form diverges in bright rooms (DESIGN 3)
-    exponent : power on the ratio of pixel means (eq. 4.4 as printed: 1)
+    exponent : power on the ratio of pixel means; 1 as in eq. 4.4, gamma for the ratio of radiosities of the line below it
     """
     light = Light(problem)
     rho, E = initialise(problem, gamma)
@@ -536,7 +536,8 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=None, threshold
             if damped:
                 epsilon = object_mean(seen) / np.maximum(object_mean(state.B), 1e-12)
             else:
-                epsilon = (object_mean(metric.value(seen)) / np.maximum(object_mean(metric.value(state.B)), 1e-12)) ** (exponent or 1)
+                shown = (lambda B: B) if metric.transfer.kind == "linear" else metric.value
+                epsilon = (object_mean(shown(seen)) / np.maximum(object_mean(shown(state.B)), 1e-12)) ** exponent
             q = np.ones_like(rho)
             for g in np.unique(pairs[:, 0]):
                 mine = pairs[:, 0] == g
