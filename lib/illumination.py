@@ -35,7 +35,7 @@ class Texture:
     start : (2 F,) int64 into value, -1: nothing reflects there      shape : (2 F, 2) int32      value : (K, C) float32
     irradiance : (K, C)  the same before reflection                good : (K,) bool, in the facet and outside solids
     direct : (K, C) the part of `value` that comes from the lamps at once        between : (K, C) irradiance from others
-    step : local, about the width of a texel
+    open : (K, emitters) float32 factor to each emitter if nothing stood in between        step : local, about the width of a texel
     rho : (F, C)
     """
     start: np.ndarray
@@ -45,6 +45,7 @@ class Texture:
     good: np.ndarray
     direct: np.ndarray
     between: np.ndarray
+    open: np.ndarray
     step: float
     rho: np.ndarray
 
@@ -77,7 +78,13 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet
     good &= ~_buried(surface, p, side, normals)
     at = np.flatnonzero(good)
     irradiance = np.zeros((len(p), E.shape[1]), np.float32)
-    irradiance[at] = form_factors.direct(surface, lamps, p[at], normals, side[at], len(E), n_samples=samples, seed=71) @ E
+    unshadowed = replace(surface, n_occluders=0)
+    whole = np.zeros((len(p), len(lamps)), np.float32)
+    for k, lamp in enumerate(lamps):
+        one = [replace(lamp, lamp=0)]
+        whole[at, k] = form_factors.direct(unshadowed, one, p[at], normals, side[at], 1, n_samples=1)[:, 0]
+        seen = form_factors.direct(surface, one, p[at], normals, side[at], 1, n_samples=samples, seed=71 + k) if surface.n_occluders else whole[at, k:k + 1]
+        irradiance[at] += seen * E[lamp.lamp]
     lit = np.flatnonzero(exposed > 0)
     place, places = np.hstack([p[at], FAR * side[at, None]]), np.hstack([mesh.centre[lit], FAR * mesh.side[lit, None]])
     between = np.zeros((len(p), E.shape[1]), np.float32)
@@ -90,16 +97,17 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet
         rest = np.where((np.bincount(np.maximum(patch, 0), patch >= 0, len(mesh)) > 0)[:, None], indirect - found, 0)
     between = np.maximum(between, 0)
     _fill(irradiance, good, start[sides], count)
+    _fill(whole, good, start[sides], count)
     rho = rho_facet.astype(np.float32)
     first = irradiance * rho[f]
     if n_rays:
         # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches
         _fill(between, good, start[sides], count)
-        once = Texture(start, shape, first + between * rho[f], irradiance, good, first, between, float(step), rho)
+        once = Texture(start, shape, first + between * rho[f], irradiance, good, first, between, whole, float(step), rho)
         ones = np.arange(len(at))
         between[at] = _sent(surface, once, lamps, E, p[at], ones, ones + 1, side[at], n_rays, 650)[0]
     _fill(between, good, start[sides], count)
-    return Texture(start, shape, first + between * rho[f], irradiance + between, good, first, between, float(step), rho)
+    return Texture(start, shape, first + between * rho[f], irradiance + between, good, first, between, whole, float(step), rho)
 
 
 def _patch_at(mesh, side, index, shape, cells):
@@ -581,17 +589,55 @@ def _sent(surface, shown, lamps, E, p, first, last, side, n_rays, seed):
 
 def _close(surface, shown, lamps, E, rays, triangle, t):
     """Where a ray ends within three texels its target is too near for a texture: a shadow in the corner matters. The number of
-    each such ray (n,), -1 for the others, and the radiosity there by direct light, from one shadow ray (m, C)."""
+    each such ray (n,), -1 for the others, and the radiosity there by direct light, from one shadow ray to each emitter (m, C)."""
     near = np.full(len(rays), -1, np.int32)
-    rows = np.flatnonzero(t < NEAR * shown.step)
-    facet = surface.facet[triangle[rows]]
-    side = 2 * facet + (np.einsum("ij,ij->i", rays[rows, 3:], surface.normal[facet]) > 0)
-    lit = shown.start[side] >= 0
-    rows, facet, side = rows[lit], facet[lit], side[lit]
+    rows = np.flatnonzero(t < NEAR * shown.step) if surface.n_occluders else np.zeros(0, np.int64)
     near[rows] = np.arange(len(rows))
-    p = rays[rows, :3] + t[rows, None].astype(float) * rays[rows, 3:]
-    factor = form_factors.direct(surface, lamps, p, form_factors.side_normals(surface), side, len(E), n_samples=1, seed=33)
-    return near, (factor @ E).astype(np.float32) * shown.rho[facet]
+    light = np.zeros((len(rows), E.shape[1]), np.float32)
+    for k, lamp in enumerate(lamps):
+        shadow, factor = _close_rays(rows, rays, triangle, t, k, surface.facet, surface.normal, surface.origin, surface.axes, surface.size,
+                                     shown.start, shown.shape, shown.open, lamp.corners, lamp.normal, lamp.cdf)
+        lit = np.flatnonzero(factor > 0)
+        factor[lit[surface.shadows.occluded(shadow[lit], 1 - 1e-4)]] = 0
+        light += factor[:, None] * E[lamp.lamp].astype(np.float32)
+    return near, light * shown.rho[surface.facet[triangle[rows]]]
+
+
+@njit(cache=True, parallel=True)
+def _close_rays(rows, rays, triangle, t, k, facet, normal, origin, axes, size, start, shape, whole, lamp, front, cdf):
+    out = np.zeros((len(rows), 6), np.float32)
+    factor = np.zeros(len(rows), np.float32)
+    for j in prange(len(rows)):
+        row = rows[j]
+        f = facet[triangle[row]]
+        along = rays[row, 3] * normal[f, 0] + rays[row, 4] * normal[f, 1] + rays[row, 5] * normal[f, 2]
+        s = 2 * f + (1 if along > 0 else 0)
+        if start[s] < 0:
+            continue
+        p = np.empty(3)
+        for d in range(3):
+            p[d] = rays[row, d] + t[row] * rays[row, 3 + d]
+        here, du, dv, u, v = _texel(p, f, s, origin, axes, size, start, shape)
+        factor[j] = (1 - u) * ((1 - v) * whole[here, k] + v * whole[here + dv, k]) + u * ((1 - v) * whole[here + du, k] + v * whole[here + du + dv, k])
+        if factor[j] > 0:                    # the places on the lamp follow Roberts' sequence
+            _aim(p, normal[f], 1.0 - 2.0 * (s & 1), (0.5 + 0.7548776662466927 * row) % 1.0, (0.5 + 0.5698402909980532 * row) % 1.0,
+                 lamp, front, cdf, out, j)
+    return out, factor
+
+
+@njit(cache=True, inline="always")
+def _texel(p, f, s, origin, axes, size, start, shape):
+    """For bilinear interpolation at p: the lower texel, steps to its neighbours, and the weights of those."""
+    u, v = 0.0, 0.0
+    for d in range(3):
+        x = p[d] - origin[f, d]
+        u += x * axes[f, 0, d]
+        v += x * axes[f, 1, d]
+    nu, nv = shape[s, 0], shape[s, 1]
+    u = min(max(u / size[f, 0] * nu - 0.5, 0.0), nu - 1.0)
+    v = min(max(v / size[f, 1] * nv - 0.5, 0.0), nv - 1.0)
+    a, b = min(int(u), max(nu - 2, 0)), min(int(v), max(nv - 2, 0))
+    return start[s] + a * nv + b, nv if nu > 1 else 0, 1 if nv > 1 else 0, u - a, v - b
 
 
 @njit(cache=True)
@@ -652,20 +698,10 @@ def _look(rays, triangle, t, n, facet, normal, origin, axes, size, inside, start
             valid[part] += 1
             hits += 1
             inverse += 1 / max(t[row], OFFSET)
-            u, v = 0.0, 0.0
+            p = np.empty(3)
             for d in range(3):
-                x = rays[row, d] + t[row] * rays[row, 3 + d] - origin[f, d]
-                u += x * axes[f, 0, d]
-                v += x * axes[f, 1, d]
-            nu, nv = shape[s, 0], shape[s, 1]
-            u = min(max(u / size[f, 0] * nu - 0.5, 0.0), nu - 1.0)
-            v = min(max(v / size[f, 1] * nv - 0.5, 0.0), nv - 1.0)
-            a, b = min(int(u), max(nu - 2, 0)), min(int(v), max(nv - 2, 0))
-            u -= a
-            v -= b
-            here = start[s] + a * nv + b
-            du = nv if nu > 1 else 0
-            dv = 1 if nv > 1 else 0
+                p[d] = rays[row, d] + t[row] * rays[row, 3 + d]
+            here, du, dv, u, v = _texel(p, f, s, origin, axes, size, start, shape)
             for c in range(C):
                 sums[part, c] += (1 - u) * ((1 - v) * value[here, c] + v * value[here + dv, c]) \
                     + u * ((1 - v) * value[here + du, c] + v * value[here + du + dv, c])
@@ -810,15 +846,12 @@ def fragments(surface: Surface, camera, coverage) -> Fragments:
     pixel, start = np.asarray(coverage["pixel"], np.int64), np.asarray(coverage["start"], np.int64)
     facet = np.asarray(coverage["facet"], np.int32)
     p, side = backproject(surface, camera, facet, np.repeat(pixel, np.diff(start)))
-    offsets = (np.arange(8) + 0.5) / 8 - 0.5
-    sub = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-    q = (np.stack([pixel % camera.width, pixel // camera.width], axis=1)[:, None] + sub).reshape(-1, 2)
-    owner, at = np.full(len(q), -1, np.int32), np.zeros((len(q), 3))
-    eye = surface.local.points(camera.centre)
-    for a in range(0, len(q), CHUNK):
-        v = camera.rays(q[a:a + CHUNK])
-        triangle, t = surface.caster.closest(np.hstack([np.broadcast_to(eye, v.shape), v]).astype(np.float32))
-        _sort_out(a, v, triangle, eye, start, facet, surface.facet, surface.normal, surface.origin, owner, at)
+    owner, at = np.full(64 * len(pixel), -1, np.int32), np.zeros((64 * len(pixel), 3))
+    eye, M = _view(surface, camera)[:2]
+    for a in range(0, len(owner), CHUNK):
+        rays = _sub_rays(a, min(len(owner), a + CHUNK), pixel, camera.width, eye, M)
+        triangle, _ = surface.caster.closest(rays)
+        _sort_out(a, rays, triangle, eye, M, pixel, camera.width, start, facet, surface.facet, surface.normal, surface.origin, owner, at)
     mine = owner >= 0
     number = np.bincount(owner[mine], minlength=len(facet))
     for d in range(3):
@@ -826,22 +859,46 @@ def fragments(surface: Surface, camera, coverage) -> Fragments:
     return Fragments(pixel, start, facet, side, np.asarray(coverage["count"], float) / 64, p, owner, at, number > 0)
 
 
+@njit(cache=True, inline="always")
+def _sub_direction(k, pixel, width, M, v):
+    """Direction through sub-pixel k of 64 to a pixel, not normalised, into v."""
+    i = k // 64
+    x = pixel[i] % width + (k % 8 + 0.5) / 8 - 0.5
+    y = pixel[i] // width + (k % 64 // 8 + 0.5) / 8 - 0.5
+    for d in range(3):
+        v[d] = M[d, 0] * x + M[d, 1] * y + M[d, 2]
+
+
 @njit(cache=True, parallel=True)
-def _sort_out(base, v, triangle, eye, start, facet, facet_of, normal, origin, owner, at):
-    for k in prange(len(v)):
-        if triangle[k] < 0:
+def _sub_rays(a, b, pixel, width, eye, M):
+    rays = np.empty((b - a, 6), np.float32)
+    for k in prange(a, b):
+        v = np.empty(3)
+        _sub_direction(k, pixel, width, M, v)
+        length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        for d in range(3):
+            rays[k - a, d] = eye[d]
+            rays[k - a, 3 + d] = v[d] / length
+    return rays
+
+
+@njit(cache=True, parallel=True)
+def _sort_out(base, rays, triangle, eye, M, pixel, width, start, facet, facet_of, normal, origin, owner, at):
+    for k in prange(base, base + len(rays)):
+        if triangle[k - base] < 0:
             continue
-        i = (base + k) // 64
-        f = facet_of[triangle[k]]
+        i, f = k // 64, facet_of[triangle[k - base]]
         for j in range(start[i], start[i + 1]):
             if facet[j] == f:
+                v = np.empty(3)
+                _sub_direction(k, pixel, width, M, v)
                 height, along = 0.0, 0.0
                 for d in range(3):
                     height += (origin[f, d] - eye[d]) * normal[f, d]
-                    along += v[k, d] * normal[f, d]
-                owner[base + k] = j
+                    along += v[d] * normal[f, d]
+                owner[k] = j
                 for d in range(3):
-                    at[base + k, d] = eye[d] + v[k, d] * height / (along if abs(along) > 1e-12 else 1e-12)
+                    at[k, d] = eye[d] + v[d] * height / (along if abs(along) > 1e-12 else 1e-12)
 
 
 def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays_each=2):

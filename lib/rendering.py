@@ -172,11 +172,18 @@ class Scene:
         values = self.photograph.values
         return np.clip(values, 0, 1) ** (1 / 2.2) if self.photograph.linear else values
 
+    @property
+    def simple(self):
+        """Whether T() is a function of the radiosity alone."""
+        return self.photograph.linear or self.kind in ("gamma", "linear", "srgb")
+
     def show(self, B):
         """Linear -> display values in [0, 1], any shape for gamma, linear and srgb, whole pictures for the others."""
         from lib import display
         if self.photograph.linear:
             return np.clip(B, 0, 1) ** (1 / 2.2)
+        if self.simple:
+            return display.finished(B, self.kind, None, None, None, self.gamma)
         return display.finished(B, self.kind, self.wanted, self.group, self.pure, self.gamma)
 
     def quantised(self, shown):
@@ -283,8 +290,11 @@ def read_materials(path, groups, lamps, channels):
     for k, name in enumerate(lamps):
         if name not in lit:
             problems.append(f"{path}: lamp {name!r}: missing")
-        else:
-            E[k] = numbers(table(lit[name], f"lamp {name!r}").get("emittance"), f"lamp {name!r}: emittance", np.inf)
+            continue
+        lamp = table(lit[name], f"lamp {name!r}")
+        E[k] = numbers(lamp.get("emittance"), f"lamp {name!r}: emittance", np.inf)
+        if lamp.get("rho_d") is not None:                  # a lamp that is a reference too reflects that much
+            rho[groups.index(name)] = numbers(lamp["rho_d"], f"lamp {name!r}: rho_d", 1)
     transfer = table(content.get("transfer"), "transfer")
     kind, gamma = transfer.get("kind"), transfer.get("gamma", 1.0)
     if kind not in KINDS:
@@ -345,11 +355,10 @@ def phong_picture(scene: Scene, picture: Picture):
     surface, E, lamp_groups = scene.surface, scene.E, scene.lamp_groups
     lamps = form_factors.emitters(surface, scene.factors.lamps)
     seen, pieces = picture.pixels, picture.fragments
-    simple = scene.kind in ("gamma", "linear", "srgb") or scene.photograph.linear
     lit = phong(surface, lamps, seen.p, seen.side, E)
     use = np.flatnonzero(scene.counted[seen.y, seen.x])
     ambient, power = ambient_and_power(scene.rho[surface.group[seen.facet[use]]], lit[use], scene.wanted[seen.y[use], seen.x[use]],
-                                       scene.show if simple else lambda B: np.clip(B, 0, 1))
+                                       scene.show if scene.simple else lambda B: np.clip(B, 0, 1))
     local = compose(scene.facet.shape, seen, radiosities(ambient + power * lit, surface, seen.facet, seen.side, scene.rho, E, lamp_groups), pieces,
                     radiosities(ambient + power * phong(surface, lamps, pieces.p, pieces.side, E), surface, pieces.facet, pieces.side, scene.rho, E, lamp_groups))
     return local, ambient, power
