@@ -1,5 +1,7 @@
 """Small models by hand, as OBJ files: rooms, boxes, panels. Shared by the tests of form factors and by the bench."""
-from lib import mesh, model
+import numpy as np
+
+from lib import form_factors, mesh, model, radiosity
 
 
 def box(x0, y0, z0, x1, y1, z1, inward=False):
@@ -50,3 +52,32 @@ def surface(path, objects, lamps=("lamp",), **placed):
 def patches(s, n):
     """n patches if all had equal area."""
     return mesh.build(s, patches=n, max_level=0, contrast=1.0, uniform=True)
+
+
+def light_of(s, m, lamps, n_rays, rho=0.6):
+    """Irradiance of each patch, all groups alike, the lamp black; and the share of each patch outside solids."""
+    D = form_factors.patch_direct(s, m, lamps, 1, n_points=64, n_samples=4)[:, 0]
+    rows = form_factors.rays(s, m, n_rays=n_rays)
+    F = rows.matrix()
+    b = radiosity.solve(rho * D, np.full(len(m), rho), F, tolerance=1e-5).B
+    return D + F @ b, rows.exposed
+
+
+def constant_light_error(s, m, light, fine, reference, exposed):
+    """Error of patch-constant light, root mean square over the open area, relative to the mean: the light of a coarse patch
+    against the reference at each fine patch whose centre lies on it."""
+    f = fine.side // 2
+    relative = fine.centre - s.origin[f]
+    shape = m.table_shape[fine.side]
+    at = [np.clip((np.einsum("ij,ij->i", relative, s.axes[f, a]) / s.size[f, a] * shape[:, a]).astype(int), 0, shape[:, a] - 1) for a in (0, 1)]
+    patch = m.leaf[m.table_start[fine.side] + at[0] * shape[:, 1] + at[1]]
+    good = (patch >= 0) & (m.table_start[fine.side] >= 0) & (exposed > 0.9)
+    w, right = fine.area[good], reference[good]
+    return float(np.sqrt((w * (light[patch[good]] - right) ** 2).sum() / w.sum()) / ((w * right).sum() / w.sum()))
+
+
+def group_light(s, m, light, exposed):
+    """Mean irradiance of each group over its open area, and that area."""
+    group, w = s.group[m.side // 2], m.area * exposed
+    area = np.bincount(group, w, len(s.groups))
+    return np.bincount(group, w * light, len(s.groups)) / np.maximum(area, 1e-300), area
