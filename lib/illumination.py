@@ -720,6 +720,8 @@ def _neighbourhoods(leaves: Leaves, facet, neighbours=12):
     """Local linear fits through the leaves around each: coefficients (K, 3, C) of value, d/dx, d/dy at the leaf, and what
     the neighbours without it foretell, (K, C)."""
     from scipy.spatial import cKDTree
+    if not len(leaves):
+        return np.zeros((0, 3, leaves.irradiance.shape[1])), leaves.irradiance
     where = np.column_stack([leaves.q, 1e6 * facet.astype(float)])        # facets do not mix: far apart in the third coordinate
     distance, near = cKDTree(where).query(where, k=min(neighbours, len(where)))
     distance, near = distance.reshape(len(where), -1), near.reshape(len(where), -1)
