@@ -4,7 +4,7 @@ Half a cube is put over the centre of each patch and the facets are drawn on its
 Every pixel stands for its delta form factor, the exact factor of its square; the patch it shows is found on the
 facet's plane, as for index buffers, so that no cracks open between patches of unlike size.
 
-Simplest and least accurate: each patch is one point, and a factor is known to a pixel along its outline,
+Simplest and least accurate: a patch is one point, or a few, and a factor is known to a pixel along its outline,
 |error| <= length of the outline in pixels * the largest delta form factor, 4 / (pi resolution^2). `make bench` compares.
 """
 from __future__ import annotations
@@ -92,12 +92,13 @@ def _pixels(resolution):
     return np.concatenate(directions), np.concatenate(delta)
 
 
-def eyes(surface, mesh):
-    """(N, 3) local: where the hemicube of each patch stands, and the share of the patch that lies outside solids, (N,).
+def eyes(surface, mesh, points=1):
+    """(N, points, 3) local: where the hemicubes of each patch stand, and the share of the patch that lies outside solids, (N,).
 
-    The centre; where that lies in a hole or in a solid, the point nearest to the middle of what is left.
+    One stands on the centre; where that lies in a hole or in a solid, on the point nearest to the middle of what is
+    left. Several are spread over what lies outside solids.
     """
-    n = 32
+    n = max(32, 8 * points)
     p = _patch_points(n, sobol(n), shifts(len(mesh), n, 0), mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf, surface.origin, surface.axes)
     p = np.concatenate([np.asarray(mesh.centre, float)[:, None], p.reshape(-1, n, 3)], axis=1)
     normals = side_normals(surface)[mesh.side]
@@ -112,13 +113,16 @@ def eyes(surface, mesh):
         free[buried(surface, up, triangle)] = False
         free = free.reshape(p.shape[:2])
     exposed = free[:, 1:].mean(axis=1)
-    left = free.copy()
-    left[:, 0] = False
-    middle = (p * left[:, :, None]).sum(axis=1) / np.maximum(left.sum(axis=1), 1)[:, None]
-    far = np.linalg.norm(p - middle[:, None], axis=2) + np.where(free, 0.0, np.inf)
-    far[:, 0] = np.where(free[:, 0] & _holds(surface, mesh), -1.0, np.inf)
-    best = np.where(np.isfinite(far).any(axis=1), far.argmin(axis=1), 0)
-    return p[np.arange(len(p)), best], np.where(free[:, 1:].all(axis=1), 1.0, exposed)
+    rows = np.arange(len(p))[:, None]
+    if points == 1:
+        left = free[:, 1:, None]
+        middle = (p[:, 1:] * left).sum(axis=1) / np.maximum(left.sum(axis=1), 1)
+        far = np.linalg.norm(p - middle[:, None], axis=2) + np.where(free, 0.0, np.inf)
+        far[:, 0] = np.where(free[:, 0] & _holds(surface, mesh), -1.0, np.inf)
+        return p[rows, far.argmin(axis=1)[:, None]], exposed
+    first = np.argsort(~free[:, 1:], axis=1, kind="stable")                      # the points outside solids, in their order
+    take = np.arange(points) % np.maximum(free[:, 1:].sum(axis=1), 1)[:, None]
+    return p[rows, 1 + first[rows, take]], exposed
 
 
 def _holds(surface, mesh):
@@ -182,70 +186,77 @@ class _Cubes:
 
 
 @njit(cache=True, parallel=True)
-def _bin(shown, eye, frames, directions, delta, normal, origin, axes, size, inside, table_start, table_shape, leaf, columns):
-    """Sum of the delta factors per patch (k, N), and of what starts inside a solid and what meets no patch (k,)."""
-    out = np.zeros((len(eye), columns))
-    dropped = np.zeros(len(eye))
-    lost = np.zeros(len(eye))
-    for i in prange(len(eye)):
-        x, y, n = frames[i, 0], frames[i, 1], frames[i, 2]
-        for k in range(len(delta)):
-            if shown[i, k] < 0:
-                continue
-            f = int(shown[i, k])
-            facing, height = 0.0, 0.0
-            d = np.empty(3)
-            for c in range(3):
-                d[c] = directions[k, 0] * x[c] + directions[k, 1] * y[c] + directions[k, 2] * n[c]
-                facing += d[c] * normal[f, c]
-                height += (origin[f, c] - eye[i, c]) * normal[f, c]
-            s = 2 * f + (1 if height > 0 else 0)
-            if inside[s]:
-                dropped[i] += delta[k]
-                continue
-            if table_start[s] < 0:
-                lost[i] += delta[k]
-                continue
-            t = height / facing if facing != 0 else 0.0
-            u, v = 0.0, 0.0
-            for c in range(3):
-                p = eye[i, c] + t * d[c] - origin[f, c]
-                u += p * axes[f, 0, c]
-                v += p * axes[f, 1, c]
-            nu, nv = table_shape[s, 0], table_shape[s, 1]
-            a = min(max(int(u / size[f, 0] * nu), 0), nu - 1)
-            b = min(max(int(v / size[f, 1] * nv), 0), nv - 1)
-            patch = leaf[table_start[s] + a * nv + b]
-            for da in range(-1, 2):                      # a pixel on a slanted border: the next cell inside
-                for db in range(-1, 2):
-                    if patch < 0 and 0 <= a + da < nu and 0 <= b + db < nv:
-                        patch = leaf[table_start[s] + (a + da) * nv + b + db]
-            if patch >= 0:
-                out[i, patch] += delta[k]
-            else:
-                lost[i] += delta[k]
+def _bin(shown, eye, frames, points, directions, delta, normal, origin, axes, size, inside, table_start, table_shape, leaf, columns):
+    """Sum of the delta factors per patch (k, N), and of what starts inside a solid and what meets no patch (k,): the mean of
+    `points` hemicubes for each row."""
+    m = len(eye) // points
+    out = np.zeros((m, columns))
+    dropped = np.zeros(m)
+    lost = np.zeros(m)
+    for row in prange(m):
+        for i in range(row * points, (row + 1) * points):
+            x, y, n = frames[i, 0], frames[i, 1], frames[i, 2]
+            for k in range(len(delta)):
+                if shown[i, k] < 0:
+                    continue
+                f = int(shown[i, k])
+                facing, height = 0.0, 0.0
+                d = np.empty(3)
+                for c in range(3):
+                    d[c] = directions[k, 0] * x[c] + directions[k, 1] * y[c] + directions[k, 2] * n[c]
+                    facing += d[c] * normal[f, c]
+                    height += (origin[f, c] - eye[i, c]) * normal[f, c]
+                s = 2 * f + (1 if height > 0 else 0)
+                if inside[s]:
+                    dropped[row] += delta[k] / points
+                    continue
+                if table_start[s] < 0:
+                    lost[row] += delta[k] / points
+                    continue
+                t = height / facing if facing != 0 else 0.0
+                u, v = 0.0, 0.0
+                for c in range(3):
+                    p = eye[i, c] + t * d[c] - origin[f, c]
+                    u += p * axes[f, 0, c]
+                    v += p * axes[f, 1, c]
+                nu, nv = table_shape[s, 0], table_shape[s, 1]
+                a = min(max(int(u / size[f, 0] * nu), 0), nu - 1)
+                b = min(max(int(v / size[f, 1] * nv), 0), nv - 1)
+                patch = leaf[table_start[s] + a * nv + b]
+                for da in range(-1, 2):                      # a pixel on a slanted border: the next cell inside
+                    for db in range(-1, 2):
+                        if patch < 0 and 0 <= a + da < nu and 0 <= b + db < nv:
+                            patch = leaf[table_start[s] + (a + da) * nv + b + db]
+                if patch >= 0:
+                    out[row, patch] += delta[k] / points
+                else:
+                    lost[row] += delta[k] / points
     return out, dropped, lost
 
 
-def rows(surface, mesh, *, resolution=128, progress=None) -> Rows:
-    """F between all patches from one hemicube per patch, `resolution` pixels wide (even).
+def rows(surface, mesh, *, resolution=128, points=1, progress=None) -> Rows:
+    """F between all patches from hemicubes `resolution` pixels wide (even), on so many points of each patch.
 
     A patch that lies wholly in a solid sees nothing. Raises NoGraphics, in one line, where there is no EGL.
     """
     if resolution < 2 or resolution % 2:
         raise ValueError(f"hemicube: a resolution of {resolution} is not an even number of pixels")
+    if points < 1:
+        raise ValueError(f"hemicube: {points} points are too few")
     directions, delta = _pixels(resolution)
     normals = side_normals(surface)[mesh.side]
     frames = np.concatenate([surface.axes[mesh.side // 2], normals[:, None]], axis=1)
-    eye, exposed = eyes(surface, mesh)
-    eye = eye + OFFSET * normals
+    eye, exposed = eyes(surface, mesh, points)
+    eye = eye + OFFSET * normals[:, None]
     entries, indices, count, valid, lost = [], [], [], [], []
     with _Cubes(surface, resolution) as cubes:
-        for a in range(0, len(mesh), cubes.count):
-            b = min(a + cubes.count, len(mesh))
-            F, inside, nowhere = _bin(cubes.draw(eye[a:b], frames[a:b]), eye[a:b], frames[a:b], directions, delta, surface.normal,
-                                      surface.origin, surface.axes, surface.size, surface.inside, mesh.table_start, mesh.table_shape,
-                                      mesh.leaf, len(mesh))
+        step = max(1, cubes.count // points)
+        for a in range(0, len(mesh), step):
+            b = min(a + step, len(mesh))
+            e, f = eye[a:b].reshape(-1, 3), np.repeat(frames[a:b], points, axis=0)
+            shown = np.concatenate([cubes.draw(e[k:k + cubes.count], f[k:k + cubes.count]) for k in range(0, len(e), cubes.count)])
+            F, inside, nowhere = _bin(shown, e, f, points, directions, delta, surface.normal, surface.origin, surface.axes, surface.size,
+                                      surface.inside, mesh.table_start, mesh.table_shape, mesh.leaf, len(mesh))
             blind = (inside > 0.5) | (exposed[a:b] == 0)   # a point is in a solid or it is not; the rest is rounding at its edges
             F[blind], nowhere[blind] = 0, 0
             inside = np.where(blind, 1, inside)
@@ -257,12 +268,12 @@ def rows(surface, mesh, *, resolution=128, progress=None) -> Rows:
             lost.append(nowhere)
             if progress is not None:
                 progress(b / len(mesh))
-    # counted in pixels of mean weight; one picture has no halves to compare, so both are alike
-    n = float(len(delta))
+    # counted in pixels of mean weight; the points are few and known, so there are no halves to compare: both are alike
+    n = float(len(delta) * points)
     valid = np.concatenate(valid)
     share = np.where(valid > 0, exposed, 0)
     count = np.concatenate(count) * n * np.repeat(share, np.concatenate(entries))
     lost, valid = np.concatenate(lost) * n * share, valid * n * share
     return Rows(np.concatenate([[0], np.cumsum(np.concatenate(entries))]).astype(np.int64), np.concatenate(indices).astype(np.int32),
                 count.astype(np.float32), (count / 2).astype(np.float32), valid.astype(np.float32), (valid / 2).astype(np.float32),
-                np.full(len(mesh), len(delta)), lost.astype(np.float32), len(mesh))
+                np.full(len(mesh), len(delta) * points), lost.astype(np.float32), len(mesh))

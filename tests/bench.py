@@ -81,6 +81,7 @@ def form_factor_curves(log):
             pass
         methods = [("rays", n, lambda n=n: form_factors.rays(surface, mesh, n_rays=n)) for n in (64, 256, 1024, 4096)]
         methods += [("hemicube", n, lambda n=n: hemicube.rows(surface, mesh, resolution=n)) for n in (16, 32, 64, 128)]
+        methods += [("hemicube x 4", n, lambda n=n: hemicube.rows(surface, mesh, resolution=n, points=4)) for n in (8, 16, 32, 64)]
         for method, setting, work in methods:
             try:
                 rows, cpu = timed(work)
@@ -94,7 +95,7 @@ def form_factor_curves(log):
 
 def plot_form_factors(rows, axes):
     for ax, scene in zip(axes, ("box", "office")):
-        for method, colour in (("rays", "C0"), ("hemicube", "C1")):
+        for method, colour in (("rays", "C0"), ("hemicube", "C1"), ("hemicube x 4", "C3")):
             mine = [r for r in rows if r[0] == scene and r[2] == method]
             ax.plot([r[4] for r in mine], [r[5] for r in mine], "o-", color=colour, label=f"{method}: each patch")
             ax.plot([r[4] for r in mine], [r[6] for r in mine], "o--", color=colour, mfc="w", label=f"{method}: worst group")

@@ -227,6 +227,16 @@ def test_hemicube_against_the_element(tmp_path, resolution):
     assert F[0, 1] == pytest.approx(0.23945647046077354, abs=bound) and F[1, 0] == pytest.approx(0.23945647046077354, abs=bound)
 
 
+def test_several_hemicubes_are_an_area(tmp_path):
+    """From 64 points of an uncut square: the factor of the area, no longer that of its centre."""
+    s = rooms.surface(tmp_path / "m.obj", {"a": [("a", SQUARE)], "b": [("b", SQUARE[::-1] + [0, 0, 1])]})
+    try:
+        rows = hemicube.rows(s, rooms.patches(s, 2), resolution=64, points=64)
+    except hemicube.NoGraphics as error:
+        pytest.skip(str(error))
+    assert rows.matrix().toarray() == pytest.approx(np.array([[0, 1], [1, 0]]) * 0.19982489569838746, abs=2e-3)
+
+
 @pytest.mark.parametrize("resolution", [2, 8, 64, 250])
 def test_delta_factors(resolution):
     """They are exact integrals: all together 1, each at most 4 / (pi R^2) (that of the pixel overhead)."""
@@ -242,6 +252,8 @@ def test_hemicube_refuses(tmp_path, monkeypatch):
     for resolution in (0, 7, -2):
         with pytest.raises(ValueError, match="not an even number"):
             hemicube.rows(s, m, resolution=resolution)
+    with pytest.raises(ValueError, match="too few"):
+        hemicube.rows(s, m, points=0)
 
     def no_display(**_):
         raise OSError("libEGL.so.1:\n cannot open")
