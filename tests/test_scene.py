@@ -214,7 +214,8 @@ def test_what_is_left_out_and_why(folder):
   without segment: no goal needs it
   without match: no goal needs it
   without reconstruct: no goal needs it
-  without recognise: its output is given (left.posed.cameramodel)"""
+  without recognise: its output is given (left.posed.cameramodel)
+  without radiosity: no goal needs it"""
 
 
 def test_an_unknown_pose_is_not_built_yet(folder):
