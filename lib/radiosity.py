@@ -298,9 +298,9 @@ def _krylov(E, rho, F, target, max_iterations, x0, watch):
         norm = np.maximum(np.linalg.norm(r, axis=0), 1e-300)
         wanted = float(np.clip(3 * (target / norm).min(), 1e-14, 0.5))
 
-        def step(used, x, B=B, norm=norm, total=total):
-            if watch.callback is not None:
-                watch(total + used, np.nan, lambda: B + norm * x())
+        def step(used, left, x, B=B, norm=norm, total=total):
+            if watch.callback is not None:                                       # the norm of the residual, not less than its largest entry
+                watch(total + used, (left * norm).max(), lambda: B + norm * x())
 
         x, _, used = gmres(lambda X: X - rho * F.times(X), r / norm, tolerance=wanted, max_iterations=max_iterations - total,
                            progress=step)
@@ -357,7 +357,7 @@ def gmres(apply, b, *, tolerance, max_iterations=200, x0=None, progress=None):
             size[moving] = j + 1
             g[:, j], g[:, j + 1] = c * g[:, j], -s * g[:, j]
             if progress is not None:
-                progress(iterations, lambda: x + _combine(V, R, g, size))
+                progress(iterations, np.abs(g[:, j + 1]), lambda: x + _combine(V, R, g, size))
             if (np.abs(g[:, j + 1]) <= tolerance * norm).all() or iterations >= max_iterations:
                 break
         x = x + _combine(V, R, g, size)

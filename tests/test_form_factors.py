@@ -523,6 +523,20 @@ def test_a_room_with_a_gap_loses_what_escapes(tmp_path):
     assert b.converged and np.isfinite(b.bound) and np.isfinite(b.B).all()
 
 
+def test_lamps_a_million_apart_in_size(tmp_path):
+    """A panel of a square metre and one of a square millimetre: all that each sends arrives, and each keeps its digits."""
+    small = [(3, 1, 2.4), (3, 1.001, 2.4), (3.001, 1.001, 2.4), (3.001, 1, 2.4)]
+    s = rooms.surface(tmp_path / "m.obj", rooms.room() | rooms.LAMP | rooms.panel("spot", *small), lamps=("lamp", "spot"))
+    m = rooms.patches(s, 300)
+    D = form_factors.patch_direct(s, m, form_factors.emitters(s, ["lamp", "spot"]), 2, n_points=64, n_samples=16)
+    arrives = (m.area[:, None] * D).sum(axis=0) * s.local.diagonal ** 2
+    assert arrives == pytest.approx([1, 1e-6], rel=2.5e-3)
+    F = form_factors.rays(s, m, n_rays=256).matrix()
+    B = radiosity.solve(0.5 * D * [1, 1e6], np.full(len(m), 0.5), F, tolerance=1e-8).B
+    light = (m.area[:, None] * (D * [1, 1e6] + F @ B)).sum(axis=0) * s.local.diagonal ** 2
+    assert light == pytest.approx([2, 2], rel=2.5e-3), "flux / (1 - rho), both lamps at the same power"
+
+
 # -- subdivision
 
 def test_adapted_patches_are_worth_twice_as_many():

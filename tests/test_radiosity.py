@@ -258,6 +258,7 @@ def test_a_picture_per_iteration(how):
     s = radiosity.solve(E, rho, F, area=A, tolerance=1e-6, callback=lambda k, B: seen.append((k, B)), **how)
     assert all(b.shape == (20,) for _, b in seen) and np.allclose(seen[-1][1], s.B, atol=1e-5)
     assert [k for k, _ in seen] == sorted(k for k, _ in seen) and seen[-1][0] == s.iterations
+    assert np.isfinite([step[2] for step in s.trace]).all()
     if how == dict(method="progressive"):
         assert (np.diff([b for _, b in seen], axis=0) >= 0).all()
 
