@@ -23,6 +23,7 @@ from lib.rays import OFFSET, shifts, sobol
 
 TEXELS = 30_000         # about so many texels in a scene
 NEAR = 3.0              # texels: what a gathering ray meets within so many is lit by itself
+MANY = 16               # triangles of a lamp above which its light is interpolated between pixels
 FAR = 10.0              # local coordinates are smaller: facets this far apart do not mix in a search
 
 
@@ -76,7 +77,7 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet
 
     good = _within(p, f, *_triangles(surface), normals[2 * f])
     good &= ~_buried(surface, p, side, normals)
-    at = np.flatnonzero(good)
+    at, fill = np.flatnonzero(good), _nearest(good, start[sides], count)        # texels outside the facet or inside a solid take another's value
     irradiance = np.zeros((len(p), E.shape[1]), np.float32)
     unshadowed = replace(surface, n_occluders=0)
     whole = np.zeros((len(p), len(lamps)), np.float32)
@@ -96,17 +97,15 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet
         found = np.stack([np.bincount(np.maximum(patch, 0), np.where(patch >= 0, between[at, c], 0), len(mesh)) for c in range(E.shape[1])], axis=1) / number
         rest = np.where((np.bincount(np.maximum(patch, 0), patch >= 0, len(mesh)) > 0)[:, None], indirect - found, 0)
     between = np.maximum(between, 0)
-    _fill(irradiance, good, start[sides], count)
-    _fill(whole, good, start[sides], count)
+    irradiance, whole = irradiance[fill], whole[fill]
     rho = rho_facet.astype(np.float32)
     first = irradiance * rho[f]
     if n_rays:
         # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches
-        _fill(between, good, start[sides], count)
-        once = Texture(start, shape, first + between * rho[f], irradiance, good, first, between, whole, float(step), rho)
+        once = Texture(start, shape, first + between[fill] * rho[f], irradiance, good, first, between, whole, float(step), rho)
         ones = np.arange(len(at))
         between[at] = _sent(surface, once, lamps, E, p[at], ones, ones + 1, side[at], n_rays, 650)[0]
-    _fill(between, good, start[sides], count)
+    between = between[fill]
     return Texture(start, shape, first + between * rho[f], irradiance + between, good, first, between, whole, float(step), rho)
 
 
@@ -211,29 +210,31 @@ def _buried(surface, p, side, normals):
 
 
 @njit(cache=True)
-def _fill(value, good, start, count):
-    """Texels outside the facet or inside a solid take the nearest good one of their side."""
+def _nearest(good, start, count):
+    """(K,) for each texel a good one of its side as few steps away as any (itself where it is good, or where none is)."""
+    source = np.arange(len(good))
+    queue = np.empty(len(good), np.int64)
     for s in range(len(start)):
         nu, nv = count[s]
-        for a in range(nu):
-            for b in range(nv):
-                here = start[s] + a * nv + b
-                if good[here]:
-                    continue
-                best, found, ring = 1 << 60, -1, 1
-                while ring * ring <= best and ring <= max(nu, nv):
-                    for i in range(max(a - ring, 0), min(a + ring, nu - 1) + 1):
-                        rim = abs(i - a) == ring
-                        j = max(b - ring, 0)
-                        while j <= min(b + ring, nv - 1):
-                            if (rim or abs(j - b) == ring) and good[start[s] + i * nv + j]:
-                                d = (i - a) ** 2 + (j - b) ** 2
-                                if d < best:
-                                    best, found = d, start[s] + i * nv + j
-                            j += 1
-                    ring += 1
-                if found >= 0:
-                    value[here] = value[found]
+        reached = good[start[s]:start[s] + nu * nv].copy()
+        head, tail = 0, 0
+        for i in range(nu * nv):
+            if reached[i]:
+                queue[tail] = i
+                tail += 1
+        while head < tail:
+            i = queue[head]
+            head += 1
+            for step in range(4):
+                a = i // nv + (1 if step == 0 else -1 if step == 1 else 0)
+                b = i % nv + (1 if step == 2 else -1 if step == 3 else 0)
+                j = a * nv + b
+                if 0 <= a < nu and 0 <= b < nv and not reached[j]:
+                    reached[j] = True
+                    source[start[s] + j] = source[start[s] + i]
+                    queue[tail] = j
+                    tail += 1
+    return source
 
 
 # -- direct light, per pixel
@@ -323,7 +324,7 @@ def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, m
     view = _view(surface, camera)
     uncertain = 0
     for number, lamp in enumerate(lamps):
-        whole = form_factors.direct(unshadowed, [replace(lamp, lamp=0)], pixels.p, normals, pixels.side, 1, n_samples=1)[:, 0]
+        whole = _whole(unshadowed, lamp, pixels, normals)
         if surface.n_occluders == 0:
             factor[:, lamp.lamp] += whole
             continue
@@ -337,6 +338,20 @@ def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, m
             visible[penumbra] = _smoothed(visible, penumbra, pixels.number, pixels.facet, pixels.x, pixels.y, 0.7 / many ** 0.75)
         factor[:, lamp.lamp] += whole * visible
     return factor, uncertain
+
+
+def _whole(unshadowed, lamp, pixels, normals):
+    """Factor of each pixel to a lamp if nothing stood in between, (M,): exact; for a lamp of many triangles exact at the middles of
+    blocks of 4 x 4 pixels and interpolated between."""
+    one = [replace(lamp, lamp=0)]
+    if len(lamp.corners) <= MANY or not len(pixels):
+        return form_factors.direct(unshadowed, one, pixels.p, normals, pixels.side, 1, n_samples=1)[:, 0]
+    first, last = _blocks(pixels, np.zeros(1, np.int64), np.array([len(pixels)]), 2)
+    p = np.stack([_means(pixels.p[:, d], first, last) for d in range(3)], axis=1)
+    factor = form_factors.direct(unshadowed, one, p, normals, pixels.side[first], 1, n_samples=1)
+    q = np.stack([_means(v.astype(float), first, last) for v in (pixels.x, pixels.y)], axis=1)
+    nothing = np.zeros(len(first))
+    return interpolated(Leaves(first, last, np.full(len(first), 2), q, nothing, factor, nothing, nothing, nothing), pixels)[:, 0]
 
 
 def _view(surface, camera):

@@ -56,6 +56,7 @@ def main(opt):
             shown, wanted = scene.show(picture.linear), scene.wanted
             values, depth = scene.quantised(shown)
             scores = display.scores(values, wanted, scene.group, scene.groups) | {"difference_gain": 5.0, "difference_zero": 0.5}
+        report.trace(places=picture.facts["places"], rmse=scores["rmse"])
         with report.timing("comparisons"):
             local, ambient, power = rendering.phong_picture(scene, picture)
             report.error("phong.rmse", display.rmse(scene.show(local), wanted), unit="display", against="photograph; eq. 3.1, ambient and power fitted")

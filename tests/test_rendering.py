@@ -39,9 +39,9 @@ def scene(folder, objects, camera, rho=0.5, E=1.0, lamps=("lamp",), channels=1, 
                            np.repeat(np.reshape([value(E, name, 1.0) for name in lamps], (-1, 1)), channels, axis=1), kind, gamma, surface.groups)
 
 
-def furnished(folder, camera=None, **options):
+def furnished(folder, camera=None, lamp=rooms.LAMP, **options):
     """A room with a hanging lamp, a table of one polygon and a box on the floor."""
-    objects = rooms.room() | rooms.LAMP | rooms.solid("box", 0.8, 0.6, 0, 1.4, 1.3, 0.9) \
+    objects = rooms.room() | lamp | rooms.solid("box", 0.8, 0.6, 0, 1.4, 1.3, 0.9) \
         | rooms.panel("table", (2.2, 1.4, 0.7), (3.2, 1.4, 0.7), (3.2, 2.2, 0.7), (2.2, 2.2, 0.7))
     rho = {"bottom": 0.4, "top": 0.8, "west": 0.6, "east": 0.5, "south": 0.6, "north": 0.7, "box": 0.3, "table": 0.5}
     return scene(folder, objects, camera or look((3.6, 0.3, 1.6), (1.2, 2.0, 0.6)), rho=rho, E=6.0, **options)
@@ -65,6 +65,17 @@ def floor_below(folder, extra, E=4.0):
 
 def test_light_under_a_square_lamp(tmp_path):
     assert floor_below(tmp_path, {}) == pytest.approx(0.5 * 4 * UNDER_UNIT_SQUARE, rel=1e-3)
+
+
+def test_a_lamp_of_many_triangles(office, tmp_path):
+    """The same lamp as a mesh: its light is interpolated between blocks of pixels."""
+    x, y = np.meshgrid(np.linspace(1.5, 2.5, 5), np.linspace(1, 2, 5), indexing="ij")
+    corners = lambda i, j: tuple((x[a, b], y[a, b], 2.4) for a, b in ((i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j)))
+    cells = {"lamp": [("lamp", corners(i, j)) for i in range(4) for j in range(4)]}
+    many = rendering.render(furnished(tmp_path, lamp=cells)).linear
+    s, one = office
+    mask = s.pure & ~np.isin(s.group, s.lamp_groups)
+    assert np.median(np.abs(many[mask] / one.linear[mask] - 1)) < 0.01
 
 
 def test_shadow_of_a_square(tmp_path):
