@@ -547,8 +547,33 @@ def gather(surface: Surface, shown: Texture, lamps, E, pixels: Pixels, total_dir
         if not split.any():
             break
         first, last = _blocks(pixels, everything.first[split], everything.last[split], level - 1)
+    while len(done):                                       # no leaf beside one a quarter as wide or less: the fits would lean
+        split = _lowest_beside(done.first, done.last, done.level, pixels.number, pixels.facet, pixels.x, pixels.y) < done.level - 1
+        if not split.any():
+            break
+        fresh = [_gathered(surface, shown, lamps, E, pixels, *_blocks(pixels, done.first[now], done.last[now], level - 1), level - 1, max(16, n_rays // 2))
+                 for level in np.unique(done.level[split]) for now in [split & (done.level == level)]]
+        done = Leaves.joined(done[~split], *fresh)
     _finish(surface, shown, lamps, E, pixels, done, brightness, n_rays, largest)
     return done
+
+
+@njit(cache=True)
+def _lowest_beside(first, last, level, number, facet, x, y):
+    """The lowest level among the leaves that touch each leaf on its facet."""
+    H, W = number.shape
+    of = np.empty(len(x), np.int64)
+    for i in range(len(first)):
+        of[first[i]:last[i]] = level[i]
+    lowest = level.copy()
+    for i in range(len(first)):
+        for j in range(first[i], last[i]):
+            for step in range(4):
+                a = x[j] + (1 if step == 0 else -1 if step == 1 else 0)
+                b = y[j] + (1 if step == 2 else -1 if step == 3 else 0)
+                if 0 <= a < W and 0 <= b < H and number[b, a] >= 0 and facet[number[b, a]] == facet[j]:
+                    lowest[i] = min(lowest[i], of[number[b, a]])
+    return lowest
 
 
 def _finish(surface, shown, lamps, E, pixels, leaves, brightness, n_rays, largest):
