@@ -36,7 +36,7 @@ class Surface:
     groups: tuple
     caster: Caster
     shadows: Caster              # facets that can occlude, lamps among them
-    n_occluders: int
+    n_occluders: int             # facets that can; a lamp of one facet does not stand in its own light
     cast: np.ndarray             # (T, 3, 3) float64 local: corners as they are cast, solids a hair thinner
     overlap: np.ndarray          # (F,) int8: of a solid that may reach into another: 1 where its inside is at the back, -1 at the front; else 0
 
@@ -79,7 +79,7 @@ def surface(model, lamps=()) -> Surface:
     cast = corners + thinner[facet][:, None, :]
     return Surface(local, corners, facet, normal, np.asarray(model.facet_group, np.int32), np.asarray(model.facet_object, np.int32),
                    origin, axes, size, inside, tuple(model.groups), Caster(cast), Caster(cast[can[facet]]),
-                   int(can[~lamp_facet].sum()), cast, overlap)
+                   int(can[~lamp_facet].sum()) + (int(can[lamp_facet].sum()) if lamp_facet.sum() > 1 else 0), cast, overlap)
 
 
 @njit(cache=True)
@@ -168,13 +168,16 @@ def _lift(corners, facet, normal, inside, last):
     last of all). Rays that start on what is covered meet the covered side above them and are dropped, as in a solid.
     The side of a solid that touches a wall stays: solids are cast thinner.
     """
-    from scipy.spatial import cKDTree
     F = len(normal)
     covered = np.zeros(2 * F, bool)
     first = np.unique(facet, return_index=True)[1]
     offset = np.einsum("ij,ij->i", corners[first, 0], normal)
     turn = np.where(normal[np.arange(F), np.abs(normal).argmax(axis=1)] < 0, -1.0, 1.0)
-    pairs = cKDTree(np.column_stack([normal, offset]) * turn[:, None]).query_pairs(OFFSET, output_type="ndarray")
+    low, high = np.full((F, 3), np.inf), np.full((F, 3), -np.inf)
+    np.minimum.at(low, facet, corners.min(axis=1))
+    np.maximum.at(high, facet, corners.max(axis=1))
+    axis = int(np.argmax(low.std(axis=0) / np.maximum((high - low).mean(axis=0), OFFSET)))      # where boxes overlap least
+    pairs = _coplanar_pairs(np.argsort(low[:, axis], kind="stable"), axis, low, high, np.column_stack([normal, offset]) * turn[:, None])
     if len(pairs) == 0:
         return corners, covered
     rank = np.lexsort((np.arange(F), last)).argsort()
@@ -202,6 +205,34 @@ def _lift(corners, facet, normal, inside, last):
             hidden[2 * j + 1] += common / area[j]
     covered = hidden > 0.99
     return corners + (2 * OFFSET * level[:, None] * normal)[facet][:, None, :], covered
+
+
+@njit(cache=True)
+def _coplanar_pairs(order, axis, low, high, plane):
+    """(K, 2): facets in one plane whose bounding boxes overlap, by a sweep along one axis. order : facets by low[:, axis]"""
+    found = []
+    for a in range(len(order)):
+        i = order[a]
+        for b in range(a + 1, len(order)):
+            j = order[b]
+            if low[j, axis] > high[i, axis] + OFFSET:
+                break
+            apart = 0.0
+            for d in range(4):
+                apart += (plane[i, d] - plane[j, d]) ** 2
+            if apart > OFFSET * OFFSET:
+                continue
+            thick, long = 0, True
+            for d in range(3):
+                reach = min(high[i, d], high[j, d]) - max(low[i, d], low[j, d])
+                long &= reach > -OFFSET
+                thick += reach > OFFSET
+            if long and thick >= 2:                       # more than a common edge
+                found.append((min(i, j), max(i, j)))
+    pairs = np.empty((len(found), 2), np.int64)
+    for k in range(len(found)):
+        pairs[k, 0], pairs[k, 1] = found[k]
+    return pairs
 
 
 @njit(cache=True)
