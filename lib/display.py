@@ -107,7 +107,7 @@ def transfer_models(B, photograph, group, pure, kind, gamma, fitted):
         if (under, g) not in refitted:
             refitted[under, g] = B * _factors(samples, under, g)[np.maximum(group, 0)]
         if under != own or (name == "gamma" and g != gamma):
-            text += f"{'; ' if text else ''}reflectances fitted under {kind}, refitted under {under}"
+            text += f"{'; ' if text else ''}reflectances fitted under {own}, refitted under {under}"
         else:
             text += f"{'; ' if text else ''}the transfer of the fit"
         rows.append({"kind": name, "rmse": rmse(finished(B, name, photograph, group, pure, g), photograph),

@@ -38,6 +38,9 @@ def options():
 def main(opt):
     from lib.report import Report
 
+    for name, low in (("rays", 1), ("shadow_rays", 1), ("contact", 0), ("tolerance", 0)):
+        if not low <= getattr(opt, name) < float("inf"):
+            raise stage.BadInput(f"--{name.replace('_', '-')}: {getattr(opt, name)} is outside [{low}, inf)")
     inputs = [opt.model, opt.camera, opt.photograph, opt.facet, opt.formfactors, opt.materials, opt.coverage]
     with Report(opt.report, inputs=inputs, arguments=vars(opt)) as report:
         with report.excluded("imports"):
