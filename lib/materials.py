@@ -96,6 +96,10 @@ def describe(problem, result, gathered, *, scale, transfer) -> dict:
     lamps = {name: {"emittance": _three(state.E[k]),
                     "sigma": None if not np.isnan(problem.emittance[k]).any() or result.sigma_E is None or scale == "convention" else _three(result.sigma_E[k])}
              for k, name in enumerate(problem.lamps)}
+    for name, entry in lamps.items():
+        reflects = problem.rho[problem.groups.index(name)]
+        if reflects.any():                     # a lamp named under `reference`
+            entry["rho_d"] = _three(reflects)
     kind = transfer if isinstance(transfer, str) else problem.metric.transfer.kind
     function = {"kind": kind}
     if kind == "gamma":

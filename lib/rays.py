@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 OFFSET = 1e-5     # how far a ray starts above its facet, in diagonals of the model; float32 resolves 6e-8
 
@@ -116,11 +117,20 @@ def sobol(n, at=None) -> np.ndarray:
     Aligned blocks of 2^m points are shifts of each other (x_{b 2^m + k} = x_{b 2^m} xor x_k): elements that take
     consecutive blocks are each well spread, and well spread together.
     """
-    at = np.arange(n, dtype=np.uint64) if at is None else np.asarray(at, np.uint64)
+    return _points(np.arange(n, dtype=np.uint64) if at is None else np.asarray(at, np.uint64), _V)
+
+
+@njit(cache=True)
+def _points(at, V):
     points = np.zeros((len(at), 4), np.uint32)
-    for bit in range(32):
-        chosen = (at >> np.uint64(bit)) & np.uint64(1) == 1
-        points[chosen] ^= _V[:, bit]
+    for i in range(len(at)):
+        left, bit = at[i], 0
+        while left and bit < 32:
+            if left & np.uint64(1):
+                for d in range(4):
+                    points[i, d] ^= V[d, bit]
+            left >>= np.uint64(1)
+            bit += 1
     return points
 
 
