@@ -101,7 +101,7 @@ class Light:
         """scale : (N, K) rho of each patch in each column."""
         return lambda X: X - scale * (self.F @ X)
 
-    def solve(self, rho, E, x0=None, tolerance=1e-6):
+    def solve(self, rho, E, x0=None, tolerance=1e-5):
         """Reflected radiosity of the patches, (N, C), and irradiance D E + F b of the patches, (N, C)."""
         direct = self.p.D @ E
         scale = rho[self.p.patch_group].astype(np.float32)
