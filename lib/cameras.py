@@ -104,8 +104,8 @@ def _numbers(path, content, key, count):
     if not isinstance(value, (list, tuple)) or (count is not None and len(value) != count):
         raise BadInput(f"{path}: {key}: {count} numbers are needed, got {value!r}")
     for number in value:
-        if isinstance(number, bool) or not isinstance(number, (int, float)) or not math.isfinite(number):
-            raise BadInput(f"{path}: {key}: {number!r} is not a finite number")
+        if isinstance(number, bool) or not isinstance(number, (int, float)) or not abs(number) < 1e300:      # also integers of 400 digits
+            raise BadInput(f"{path}: {key}: {number!r:.80} is not a finite number")
     return np.array(value, float)
 
 

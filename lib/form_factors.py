@@ -251,6 +251,8 @@ def buried(surface: Surface, rays, triangle):
 def _rows(surface, mesh, ray_start, make, progress=None) -> Rows:
     """Rows of all elements, in chunks: make(first, last) -> rays of the elements first..last-1."""
     m = len(ray_start) - 1
+    if m == 0:
+        return _count(np.zeros(0, np.int32), np.zeros(1, np.int64), 0, 0, len(mesh))
     parts = []
     first = 0
     while first < m:

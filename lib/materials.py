@@ -50,6 +50,8 @@ def problem(factors, gathered, *, lamps, reference, transfer) -> reflectance.Pro
         if isinstance(value, str):
             continue
         E[k] = _channels(value, channels, f"lamps.{name}")
+    if not np.isnan(E).any() and not E.any():
+        raise BadInput(f"lamps: {', '.join(lamps)}: every emittance is 0: there is no light to explain the photograph")
     rho = np.full((len(groups), channels), np.nan)
     for name in factors.lamps:
         rho[groups.index(name)] = 0
@@ -109,14 +111,23 @@ def describe(problem, result, gathered, *, scale, transfer) -> dict:
             "image": {"rmse": float(result.rmse) if np.isfinite(result.rmse) else None, "iterations": int(result.iterations)}}
 
 
-def warnings(problem, found, gathered):
+def warnings(problem, result, found, gathered):
     """What the user should know of the values, one line each."""
     lines = []
     for g, name in enumerate(problem.groups):
         entry = found["groups"].get(name)
         if entry and not entry["identified"]:
             why = "no pixel shows it" if gathered.visible[g] == 0 else f"none of its {gathered.visible[g]} pixels can be trusted"
-            lines.append(f"group {name!r} is not identified: {why}" + ("; the balance assumes the mean of the seen groups" if entry["assumed"] else ""))
+            lines.append(f"group {name!r} is not identified: {why}" + ("; the balance takes `assumed`, from the seen groups and the light it gives" if entry["assumed"] else ""))
+    if result.misfit > reflectance.MISFIT:
+        lines.append(f"the re-rendering differs from the photograph by {result.rmse:.3f} (display), {result.misfit:.0f} times what noise explains: "
+                     "a lamp, the model, the pose or the transfer function is not as given; every sigma is widened by as much")
+    state = result.state
+    if problem.fit_gamma and not 0.21 < state.gamma < 7.9:
+        lines.append(f"gamma = {state.gamma:.2f} lies on its bound: the lamps' power or the transfer function is not as given")
+    seen = np.isin(np.arange(len(problem.groups)), problem.tile_group) & np.isnan(problem.rho).any(axis=1)
+    for g in np.flatnonzero(seen & ((state.rho > 0.9995) | (state.rho < 1e-6)).any(axis=1)):
+        lines.append(f"group {problem.groups[g]!r}: a reflectance lies on its bound ({', '.join(f'{v:.4g}' for v in state.rho[g])}): a lamp may be weaker or stronger than given")
     if found["status"] == "not converged":
         lines.append("the fit has not converged")
     return lines

@@ -158,7 +158,7 @@ def _read_obj(path, content):
             for index in face:
                 if index == 0 or index < -count:
                     raise BadInput(f"{path}: line {first}: face index {index} is out of range (1 to {count})")
-            corners += [index - 1 if index > 0 else count + index for index in face]
+            corners += [min(index - 1, 1 << 62) if index > 0 else count + index for index in face]
             starts.append(len(corners))
             if thing is None:
                 thing = objects.setdefault("default", len(objects))
@@ -248,8 +248,12 @@ def _glb_polygons(path, gltf, binary):
     children = {child for node in nodes for child in node.get("children", ())}
     roots = gltf["scenes"][gltf.get("scene", 0)].get("nodes", []) if gltf.get("scenes") else sorted(set(range(len(nodes))) - children)
     waiting = [(i, np.eye(4)) for i in reversed(roots)]
+    seen = set()
     while waiting:
         i, T_world_parent = waiting.pop()
+        if i in seen:
+            raise BadInput(f"{path}: nodes: node {i} is reached twice: the nodes are not a tree")
+        seen.add(i)
         node = nodes[i]
         T_world_node = T_world_parent @ local(node)
         waiting += [(child, T_world_node) for child in reversed(node.get("children", ()))]

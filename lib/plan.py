@@ -410,6 +410,11 @@ def write(plan, python, root=ROOT, title=None):
         artefact.remove_partials(folder)
     for path, content in commands.items():
         _write(path, content)
+    for stamp in (plan.build / "commands").glob("copy.*"):
+        goal = stamp.name.removeprefix("copy.")
+        if not plan.scene.given(goal):              # it was given and is no more: its copy must not pass for made
+            (plan.build / goal).unlink(missing_ok=True)
+            stamp.unlink()
     _write(plan.build / "plan.mk", text)
 
 

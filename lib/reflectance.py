@@ -21,6 +21,7 @@ import numpy as np
 from lib import radiosity
 from lib.transfer import Metric, Tiles, Transfer
 
+MISFIT = 4.0            # residuals so many times what noise explains: something told to the fit is wrong
 DENSE_LIMIT = 6000      # patches up to which F is kept dense: BLAS is then faster than sparse products
 
 
@@ -82,6 +83,7 @@ class Result:
     sigma_gamma: float = None
     tile_residual: np.ndarray = None     # (T, C) display, synthesis minus photograph
     residual: float = None               # of the light balance
+    misfit: float = 0.0                  # typical tile residual over what pixel noise and sampling explain
     shares: dict = field(default_factory=dict)   # median relative sigma by cause
     warnings: list = field(default_factory=list)
 
@@ -407,7 +409,7 @@ def _bounded_step(H, g, theta, low, high, damping):
         step[idx] = np.linalg.lstsq(A + damping * np.eye(len(idx)), -g[idx] / scale, rcond=1e-13)[0] / scale
         break
     room = np.where(step > 0, high - theta, theta - low)
-    limit = np.where(np.abs(step) > 0, np.where(room > 1e-4, 0.9 * room, room) / np.maximum(np.abs(step), 1e-300), 1.0)
+    limit = np.where(np.abs(step) > 0, np.where(room > 1e-4, 0.9 * room, room) / np.maximum(np.abs(step), 1e-12), 1.0)
     return np.clip(step * 1.0, -np.abs(step) * np.minimum(limit, 1), np.abs(step) * np.minimum(limit, 1))
 
 
@@ -434,8 +436,7 @@ def _uncertainty(problem, layout, at, result):
     weight = _weights(problem, at.residual).reshape(-1)
     prior = np.diag(at.prior()[1])
     H = J.T @ (weight[:, None] * J) + prior
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    inverse = scale[:, None] * np.linalg.pinv(H * np.outer(scale, scale), rcond=1e-12, hermitian=True) * scale
+    inverse, loose = _inverse(H, layout.pack(state))
     by_tile = lambda rows: rows.reshape(-1, problem.channels, n).sum(axis=1)      # channels of one tile go together
     score = by_tile((weight * at.residual.reshape(-1))[:, None] * J)
     pixel = np.repeat(problem.pixel_noise ** 2 / problem.n_pixels, problem.channels)
@@ -451,7 +452,10 @@ def _uncertainty(problem, layout, at, result):
         G0, G1, F0, F1 = problem.halves
         b0, b1 = (Light(problem, F, problem.G).solve(state.rho, state.E, state.b)[0] for F in (F0, F1))
         terms["form factors"] = 0.5 * push(rho_tile * (problem.G @ (b0 - b1)))
-        each = by_tile((weight * (at.slope * 0.5 * rho_tile * ((G0 - G1) @ state.b)).reshape(-1))[:, None] * J)
+        sampling = at.slope * 0.5 * rho_tile * ((G0 - G1) @ state.b)
+        expected = float(np.sqrt(np.median(sampling ** 2 / 0.455 + problem.pixel_noise ** 2 / problem.n_pixels[:, None])))
+        result.misfit = float(np.sqrt(np.median(at.residual ** 2) / 0.455)) / max(expected, 1e-3)
+        each = by_tile((weight * sampling.reshape(-1))[:, None] * J)
         cov = cov + inverse @ (each.T @ each) @ inverse
     theta = layout.pack(state)
     n_rho = len(layout.rho)
@@ -463,11 +467,32 @@ def _uncertainty(problem, layout, at, result):
         size[:n_rho] = np.where(seen[:n_rho], np.maximum(size[:n_rho], common), size[:n_rho])
         cov = cov + np.diag((size * np.maximum(np.abs(theta), 0.02)) ** 2)
         result.shares[name] = common
-    sigma = np.sqrt(np.maximum(np.diag(cov), 0))
+    if result.misfit > MISFIT:
+        cov = cov * result.misfit ** 2          # what noise does not explain may be anything: every value is as uncertain
+    sigma = np.maximum(np.sqrt(np.maximum(np.diag(cov), 0)), loose)
     result.sigma_rho, result.sigma_E = np.zeros(state.rho.shape), np.zeros(state.E.shape)
     result.sigma_rho[tuple(layout.rho.T)] = sigma[:n_rho]
     result.sigma_E[tuple(layout.E.T)] = sigma[n_rho:n_rho + len(layout.E)]
     result.sigma_gamma = float(sigma[-1]) if layout.gamma else None
+
+
+def _inverse(H, theta):
+    """Inverse of the normal matrix without its null directions, and for each parameter the standard deviation (n,) that
+    those leave: a direction in which nothing changes the picture is as unsure as the values themselves."""
+    diagonal = np.diag(H)
+    alive = diagonal > 1e-14 * max(float(diagonal.max(initial=0.0)), 1e-300)
+    scale = np.where(alive, 1 / np.sqrt(np.where(alive, diagonal, 1.0)), 0.0)
+    value, vector = np.linalg.eigh(H * np.outer(scale, scale))
+    size = np.maximum(np.abs(theta), 0.02)
+    loose = np.where(alive, 0.0, size)
+    weak = value < 1e-8 * max(float(value.max(initial=0.0)), 1e-300)
+    for v in vector[:, weak].T:
+        relative = np.abs(scale * v) / size
+        if relative.max() > 0:
+            loose = np.maximum(loose, size * relative / relative.max())
+    good = vector[:, ~weak] / np.sqrt(value[~weak])
+    good = scale[:, None] * good
+    return good @ good.T, loose
 
 
 def scale(problem) -> str:

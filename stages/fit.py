@@ -57,8 +57,8 @@ def main(opt):
         found = materials.describe(problem, result, gathered, scale=scale, transfer=opt.transfer)
         report.status = found["status"]
         report["scale"], report["iterations"] = scale, result.iterations
-        report["uncertainty"] = result.shares
-        for warning in result.warnings + materials.warnings(problem, found, gathered):
+        report["uncertainty"], report["misfit"] = result.shares, result.misfit
+        for warning in result.warnings + materials.warnings(problem, result, found, gathered):
             report.warning(warning)
         report.error("image.rmse", found["image"]["rmse"], unit="display", against="the photograph's tiles")
         report.error("balance.residual", result.residual, unit="1", against="eq. 3.2")

@@ -50,6 +50,8 @@ def main(opt):
         for path, shape in ((opt.photograph, photograph.values.shape[:2]), (opt.facet, facet.shape), (opt.trusted, trusted.shape)):
             if shape != size:
                 raise stage.BadInput(f"{path}: size: {shape[1]} x {shape[0]} is not the camera's {camera.width} x {camera.height} ({opt.camera})")
+        if factors.groups != tuple(model.groups) or len(factors.mesh.table_start) != 2 * model.n_facets:
+            raise stage.BadInput(f"{opt.formfactors}: groups, facets: {len(factors.groups)}, {len(factors.mesh.table_start) // 2} are not those of {opt.model}")
         if facet.max() >= model.n_facets:
             raise stage.BadInput(f"{opt.facet}: facet {facet.max()} is not in {opt.model}, which has {model.n_facets}")
 

@@ -184,6 +184,28 @@ def test_a_wrong_lamp_shows_in_the_picture_error():
     assert np.isfinite(wrong.state.rho).all() and wrong.rmse > 5 * right.rmse
 
 
+def test_what_nothing_determines_has_a_sigma_as_large_as_itself():
+    """Without interreflection only rho E is seen: both are as unsure as they are large, and E becomes 1 by convention."""
+    problem, rho, _ = made(COLOURS, given_E=False, transfer="linear")
+    dark = replace(problem, F=csr_array((6, 6)), G=csr_array(problem.G.shape), G_plain=csr_array(problem.G.shape))
+    seen = rho[problem.tile_group] * problem.D_tile * 0.9
+    dark = replace(dark, pixels=np.repeat(seen, 40, axis=0))
+    free = reflectance.gauss_newton(dark)
+    assert (free.sigma_E > 0.5 * free.state.E).all() and (free.sigma_rho[1:] > 0.5 * free.state.rho[1:]).all()
+    result, scale = reflectance.fit(dark)
+    assert scale == "convention" and (result.state.E == 1).all()
+    np.testing.assert_allclose(result.state.rho[1:], 0.9 * rho[1:], rtol=1e-4)
+
+
+def test_a_lamp_that_lights_nothing_seen_is_unknown():
+    problem, *_ = made(COLOURS, E=(1.5, 1.0), lamps=2, given_E=False)
+    known = problem.rho.copy()
+    known[1] = COLOURS[0]
+    off = replace(problem, rho=known, D=problem.D * [1, 0], D_tile=problem.D_tile * [1, 0])
+    result = reflectance.gauss_newton(off)
+    assert (result.sigma_E[1] >= result.state.E[1]).all() and np.isfinite(result.sigma_rho).all()
+
+
 # -- the paper's alternation
 
 def faces(rho):

@@ -216,6 +216,17 @@ def test_an_older_photograph_in_the_place_of_the_first_is_noticed(toy):
     assert "another" in toy.read("materials.json")
 
 
+def test_a_goal_given_and_taken_away_is_made_again(toy):
+    toy.make("room")
+    made = toy.read("materials.json")
+    toy.give(**{"materials.json": "given"})
+    toy.make("room")
+    assert toy.read("materials.json") == "given"
+    (toy.room / "materials.json").unlink()
+    assert "fit" in toy.make("room")[1]
+    assert toy.read("materials.json") == made
+
+
 # ---- when it goes wrong ----
 
 @pytest.mark.parametrize("name", ["see", "fit"])
