@@ -108,7 +108,7 @@ def describe(problem, result, gathered, *, scale, transfer) -> dict:
         function |= {"gamma": float(state.gamma), "sigma": result.sigma_gamma}
     status = "nothing seen" if len(problem.tile_group) == 0 else "converged" if result.converged else "not converged"
     return {"status": status, "groups": groups, "lamps": lamps, "transfer": function, "scale": scale,
-            "image": {"rmse": float(result.rmse) if np.isfinite(result.rmse) else None, "iterations": int(result.iterations)}}
+            "image": {"rmse": float(result.rmse) if np.isfinite(result.rmse) and len(problem.tile_group) else None, "iterations": int(result.iterations)}}
 
 
 def warnings(problem, result, found, gathered):
@@ -123,6 +123,8 @@ def warnings(problem, result, found, gathered):
         lines.append(f"the re-rendering differs from the photograph by {result.rmse:.3f} (display), {result.misfit:.0f} times what noise explains: "
                      "a lamp, the model, the pose or the transfer function is not as given; every sigma is widened by as much")
     state = result.state
+    if problem.fit_gamma and not len(problem.tile_group):
+        lines.append(f"gamma is not determined by any pixel: {state.gamma} is only where the search would have started")
     if problem.fit_gamma and not 0.21 < state.gamma < 7.9:
         lines.append(f"gamma = {state.gamma:.2f} lies on its bound: the lamps' power or the transfer function is not as given")
     seen = np.isin(np.arange(len(problem.groups)), problem.tile_group) & np.isnan(problem.rho).any(axis=1)

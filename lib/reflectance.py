@@ -356,7 +356,7 @@ def gauss_newton(problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e
         if trace:
             trace(iteration=iteration, image_rmse=_rmse(problem, at.residual), state=at.state)
     result = Result(at.state, converged, iteration, _rmse(problem, at.residual), tile_residual=at.residual, residual=light.residual)
-    if layout.size:
+    if layout.size and len(problem.tile_group):
         _uncertainty(problem, layout, at, result)
     return result
 

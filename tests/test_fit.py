@@ -173,7 +173,8 @@ def test_several_lamps_none_negative():
 def test_nothing_seen_is_no_crash():
     problem, *_ = made(COLOURS, unseen=(1, 2, 3, 4, 5))
     result = reflectance.gauss_newton(problem)
-    assert not result.converged or np.isfinite(result.state.rho).all()
+    assert not result.converged and np.isfinite(result.state.rho).all()
+    assert result.sigma_gamma is None and result.sigma_rho is None        # unknown, not NaN
 
 
 def test_a_wrong_lamp_shows_in_the_picture_error():
