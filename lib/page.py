@@ -330,6 +330,10 @@ def _rmse(parts):
     return (image["rmse"], "the pixels used") if _finite(image.get("rmse")) else (None, None)
 
 
+def _without_sigma(materials):
+    return "not determined" if materials.get("status") == "nothing seen" else "given"
+
+
 def verdict(parts):
     """(css class, badge, sentence in plain words)."""
     materials = parts.materials or {}
@@ -343,7 +347,9 @@ def verdict(parts):
         badge = ("bad", str(status).capitalize()) if status else ("warn", "Nothing to report")
     said = []
     rmse, where = _rmse(parts)
-    if rmse is not None:
+    if status == "nothing seen":
+        said.append("No pixel of the photograph can be used: nothing below is a finding")
+    elif rmse is not None:
         subject = "Re-rendering agrees" if parts.scores else "Fitted light agrees"
         said.append(f"{subject} with the photograph to {percent(rmse)} of full scale")
     known, every = _identified(parts)
@@ -352,11 +358,15 @@ def verdict(parts):
     transfer = materials.get("transfer") or {}
     if transfer.get("kind") == "gamma" and _finite(transfer.get("gamma")):
         gamma = pm(transfer["gamma"], transfer.get("sigma"), 3)
-        said.append(f"gamma {gamma}" if transfer.get("sigma") else f"gamma {gamma} (given)")
+        said.append(f"gamma {gamma}" if transfer.get("sigma") else f"gamma {gamma} ({_without_sigma(materials)})")
     sentence = "; ".join(said) + "." if said else "No photometry was asked for, or none has been done yet."
     error = _errors(parts).get("reflectance.mean_relative")
     if _finite(error):
         sentence += f" Against the known truth, reflectances are off by {percent(error)} on average."
+    misfit = (parts.reports.get("fit") or {}).get("misfit")
+    if _finite(misfit) and misfit > 4:
+        sentence += f" It differs {misfit:.0f} times more than noise explains: a lamp, the model, the pose or the transfer function is not as given."
+        badge = ("warn", "Does not fit") if badge[0] == "good" else badge
     if weak:
         sentence += f" Not converged: {', '.join(weak)}."
     return *badge, sentence
@@ -490,7 +500,7 @@ def _materials(parts):
     known, every = _identified(parts)
     has_truth = any((t.get("rho_d") or {}).get("truth") for t in truths.values())
     lead = "Share of the light that each material reflects, per channel, with its standard deviation. The swatch is the material in full light, as this camera shows it."
-    if has_truth:
+    if has_truth and known:
         lead += " Below each value the truth and the deviation from it; " + (
             f'<span class="off">{off} channel{"s" * (off != 1)}</span> lie{"s" * (off == 1)} beyond 3 σ.' if off else '<span class="ok">every channel lies within 3 σ.</span>')
     return _section("Materials", f'<div class="scroll"><table class="cards">{f"<thead>{head}</thead>"}<tbody>{"".join(rows)}</tbody></table></div>', lead)
@@ -539,7 +549,7 @@ def _transfer(parts, transfer):
     truth = ((parts.comparison or {}).get("transfer") or {}).get("truth")
     if transfer["kind"] == "gamma" and _finite(transfer.get("gamma")):
         gamma, sigma = transfer["gamma"], transfer.get("sigma")
-        words = f"γ = <b>{esc(pm(gamma, sigma, 3))}</b>" + ("" if sigma else " (given)")
+        words = f"γ = <b>{esc(pm(gamma, sigma, 3))}</b>" + ("" if sigma else f" ({_without_sigma(parts.materials or {})})")
         if truth and _finite(truth.get("gamma")):
             words += f', truth {fixed(truth["gamma"], 3)}'
         if _finite(sigma) and 0 < 3 * sigma < gamma:
