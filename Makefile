@@ -75,7 +75,7 @@ help:
 	  "stages: $$(sed -n 's/^\([a-z][a-z0-9_]*\):.*/\1/p' pipeline.yaml | tr '\n' ' ')"
 
 # ---- setting up: Debian's packages if this is Debian and we may, then .venv from the lock file ----
-DEBIAN := python3 python3-venv libegl1 libgl1 libgl1-mesa-dri libgomp1 libx11-6 libusb-1.0-0
+DEBIAN := python3 python3-venv mrcal python3-mrcal libegl1 libgl1 libgl1-mesa-dri libgomp1 libx11-6 libusb-1.0-0
 
 setup: .venv/ready
 

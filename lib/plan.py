@@ -15,7 +15,7 @@ import os
 import re
 import shlex
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lib import artefact, scene as scenes, stage as stages_
@@ -26,7 +26,7 @@ TARGETS = ("all", "plan", "test", "bench", "scenes", "doctor", "help", "clean", 
 CLOSING = ("scorecard.csv",)                     # a goal of every scene, whatever it says
 REPORTS = "*.report.json"                        # of the planned stages above
 FACTS = ("board", "lens", "lamps", "lamp_groups", "reference", "transfer", "surfaces", "augment", "scene")
-ENTRY = ("reads", "may_read", "writes", "facts", "params", "sweep", "needs")
+ENTRY = ("script", "reads", "may_read", "writes", "facts", "params", "sweep", "needs")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Stage:
     facts: dict = field(default_factory=dict)       # option -> key of scene.yaml
     params: dict = field(default_factory=dict)      # name -> default
     sweep: dict = field(default_factory=dict)
-    needs: tuple = ()
+    needs: dict = field(default_factory=dict)       # what of the system -> the given file without which it is not needed, or None
 
     @property
     def report(self):
@@ -53,6 +53,18 @@ class Stage:
     def built(self):
         return Path(self.script).is_file()
 
+    def within(self, scene):
+        """This stage in one scene: <left> and so on are files; where there is no right photograph and the stage can do
+        without, what it would write of it falls away."""
+        views = scene.views
+        reads, may_read, writes = ({option: views.get(file, file) for option, file in files.items()} for files in (self.reads, self.may_read, self.writes))
+        if "photograph_right" in may_read and reads:
+            if scene.given("right.png|jpg|tif|exr"):
+                reads["photograph_right"] = may_read.pop("photograph_right")
+            else:
+                writes = {option: file for option, file in writes.items() if not option.endswith("_right")}
+        return replace(self, reads=reads, may_read=may_read, writes=writes)
+
 
 @dataclass
 class Plan:
@@ -63,13 +75,10 @@ class Plan:
     goals: list                     # files
     passed_over: dict               # stage -> its output that was needed but is given
 
-    def made(self, file):
-        return next((s for s in self.stages.values() if s.name in self.planned and file in s.outputs), None)
-
     def find(self, file):
         """Where the reader of file finds it: given, or made by a planned stage; else None."""
-        given = self.scene.given(file)
-        return given or (self.build / file if self.made(file) else None)
+        made = [name for stage in self.stages.values() if stage.name in self.planned for name in scenes.alternatives(file) if name in stage.outputs]
+        return self.scene.given(file) or (self.build / made[0] if made else None)
 
     def destination(self, stage, file):
         """A given file is never overwritten: what the stage makes of it goes to a scratch folder."""
@@ -83,9 +92,9 @@ def read_pipeline(path):
     for name, entry in (scenes.read_yaml(path) or {}).items():
         unknown = entry.keys() - set(ENTRY)
         problems += [f"{path}: {name}.{key}: unknown key; known are {', '.join(ENTRY)}" for key in sorted(unknown)]
-        script = str(_here(path.resolve().parent / "stages" / f"{name}.py"))
-        known = {key: value for key, value in entry.items() if key not in unknown}
-        stage = Stage(name, script, **{**known, "needs": tuple(entry.get("needs", ()))})
+        script = str(_here(path.resolve().parent / "stages" / f"{entry.get('script', name)}.py"))
+        known = {key: value for key, value in entry.items() if key not in unknown and key != "script"}
+        stage = Stage(name, script, **known)
         stages[name] = stage
         problems += [f"{path}: {name}.facts.{option}: {key} is no fact" for option, key in stage.facts.items() if key not in FACTS]
         problems += [f"{path}: {name}.sweep.{key}: no such parameter" for key in stage.sweep if key not in stage.params]
@@ -111,6 +120,7 @@ def walk(scene, stages, build, wishes=(None,)):
     "Up to one stage" takes in what that stage may read if the scene's goals have it made: its command line, and so its
     answer, are those of the whole scene.
     """
+    stages = {name: stage.within(scene) for name, stage in stages.items()}
     closing = [goal for goal in CLOSING if any(goal in s.writes.values() for s in stages.values())]
     whole = _Walk(scene, stages)
     for goal in [*scene.goals, *closing]:
@@ -146,15 +156,19 @@ class _Walk:
     def refuse(self, problem):
         self.problems.append(f"{self.scene.folder / 'scene.yaml'}: goals: {problem}")
 
+    def maker(self, file):
+        return next((self.writer[name] for name in scenes.alternatives(file) if name in self.writer), None)
+
     def need(self, file, goal, reader=None):
         if file in self.seen:
             return
         self.seen.add(file)
-        if self.scene.given(file):
-            if file in self.writer:
-                self.passed_over[self.writer[file].name] = file
-        elif file in self.writer:
-            self.plan(self.writer[file], goal, file)
+        maker = self.maker(file)
+        if given := self.scene.given(file):
+            if maker:
+                self.passed_over[maker.name] = given.name
+        elif maker:
+            self.plan(maker, goal, file)
         elif reader:
             names = " or ".join(scenes.alternatives(file))
             self.refuse(f"{goal} needs {names}, which is not in the scene's folder (stage {reader.name})")
@@ -173,7 +187,7 @@ class _Walk:
             self.need(read, goal, stage)
         for read in stage.may_read.values():
             before = list(self.stages)[:list(self.stages).index(stage.name)]
-            makers = before if read == REPORTS else [self.writer[read].name] if read in self.writer and not self.scene.given(read) else []
+            makers = before if read == REPORTS else [self.maker(read).name] if self.maker(read) and not self.scene.given(read) else []
             for name in makers:
                 if name in self.optional:
                     self.plan(self.stages[name], goal)
@@ -186,17 +200,17 @@ def _facts(plan):
     photometry = [n for n in plan.planned if {"lamps", "lamp_groups"} & set(plan.stages[n].facts.values())]
     if photometry and not scene.lamps and not any(p.startswith(f"{yaml}: lamps") for p in scene.problems):
         problems.append(f"{yaml}: lamps: missing, and {photometry[0]} needs to know which groups emit")
-    camera = scene.given("left.posed.cameramodel")
-    readers = [n for n in plan.planned if "left.posed.cameramodel" in plan.stages[n].reads.values()]
-    if camera and readers:
-        lens = scenes.lens_of(camera)
-        if isinstance(lens, str) and lens.startswith("LENSMODEL_") and lens != "LENSMODEL_PINHOLE":
-            problems.append(f"{camera}: lensmodel: {lens} is not a pinhole, and undistortion is not built yet")
+    calibrators = [n for n in plan.planned if "board" in plan.stages[n].facts.values()]
+    if calibrators and scene.given("boards/") and scene.board is None and not any(p.startswith(f"{yaml}: board") for p in scene.problems):
+        problems.append(f"{yaml}: board: missing, and {calibrators[0]} needs to know the corners and squares of {scene.given('boards/')}/")
+    lone = [side for side in scenes.SIDES if scene.given(f"{side}.cameramodel")]
+    if calibrators and not scene.given("boards/") and len(lone) == 1:
+        problems.append(f"{scene.folder / lone[0]}.cameramodel: is given, but not that of the other photograph: give both, or none")
     return problems
 
 
 def _system(plan):
-    needs = {need: n for n in plan.planned if plan.stages[n].built for need in plan.stages[n].needs}
+    needs = {need: n for n in plan.planned if plan.stages[n].built for need, file in plan.stages[n].needs.items() if file is None or plan.scene.given(file)}
     if not needs:
         return []
     from lib import doctor

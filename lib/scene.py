@@ -45,6 +45,11 @@ class Scene:
         paths = [self.folder / name for name in alternatives(file)]
         return [p for p in paths if (p.is_dir() if file.endswith("/") else p.is_file())]
 
+    @property
+    def views(self):
+        """What pipeline.yaml's <left>, <left camera> and so on are in this scene (`views` below)."""
+        return {**views(self, "left"), **views(self, "right")}
+
     def fact(self, key):
         if key == "lamp_groups":
             return sorted(self.lamps)
@@ -63,6 +68,53 @@ def alternatives(file):
     """
     stem, dot, extensions = file.rpartition(".")
     return [f"{stem}{dot}{extension}" for extension in extensions.split("|")]
+
+
+# ---- which camera and which photograph a stage sees ----
+
+SIDES = ("left", "right")
+PINHOLE = "LENSMODEL_PINHOLE"
+
+
+def views(scene, side):
+    """Of one photograph of the pair, the file that each name in angle brackets of pipeline.yaml stands for.
+
+    <side>            the photograph as the analysis sees it: as it was taken, or undistorted where the lens is no pinhole
+    <side raw lens>   the camera as calibrated or given, any lens        <side pinhole>   what undistortion writes
+    <side lens>       the same as a pinhole                              <side camera>    a pinhole in the pair's frame
+    <side posed>      a pinhole in the model's frame
+    """
+    posed, own = f"{side}.posed.cameramodel", f"{side}.cameramodel"
+    taken = f"{side}.png|jpg|tif|exr"
+    given = scene.given(taken)
+    flat = f"{side}.pinhole.exr" if given and given.suffix == ".exr" else f"{side}.pinhole.png"
+    bent = lens(scene, side) != PINHOLE
+    known = bent and bool(scene.given(posed))                # a pose and a lens: undistortion keeps both
+    straight = f"{side}.pinhole.cameramodel" if bent else own
+    pair = f"{side}.oriented.cameramodel" if unoriented(scene) else straight
+    if not bent and all(scene.given(f"{s}.posed.cameramodel") for s in SIDES):
+        pair = posed
+    return {f"<{side}>": flat if bent else taken, f"<{side} raw lens>": posed if known else own, f"<{side} pinhole>": flat,
+            f"<{side} lens>": straight, f"<{side} camera>": pair, f"<{side} posed>": straight if known else posed}
+
+
+def lens(scene, side):
+    """The lens model of one camera, as far as it is known before anything runs: mrcal fits the one that scene.yaml names."""
+    for name in (f"{side}.posed.cameramodel", f"{side}.cameramodel"):
+        if path := scene.given(name):
+            return lens_of(path) or PINHOLE
+    return scene.lens if scene.given("boards/") else PINHOLE
+
+
+def unoriented(scene):
+    """Is the relative pose of the pair to be estimated?  Two given lenses of one centre (to 1e-9), or nothing given at all."""
+    if all(scene.given(f"{side}.posed.cameramodel") for side in SIDES):
+        return False
+    paths = [scene.given(f"{side}.cameramodel") for side in SIDES]
+    if not all(paths):
+        return not any(paths) and not scene.given("boards/")
+    centres = [centre_of(path) for path in paths]
+    return all(centres) and max(abs(a - b) for a, b in zip(*centres)) <= 1e-9
 
 
 # ---- YAML ----
@@ -299,6 +351,9 @@ def _param(where, value, default):
     elif isinstance(default, float):
         if not finite(value):
             yield where, value, "is not a number"
+    elif default == "auto":
+        if not (value == "auto" or finite(value)):
+            yield where, value, "is neither a number nor `auto`"
     elif isinstance(default, str):
         if not isinstance(value, str):
             yield where, value, "is not a word"
@@ -330,6 +385,22 @@ def lens_of(path):
         return None
 
 
+def centre_of(path):
+    """The centre of a given camera in its reference frame, or None where the file cannot be read."""
+    try:
+        content = ast.literal_eval(path.read_text(encoding="utf-8"))
+        x, y, z, *t = map(float, content["extrinsics"] if "extrinsics" in content else content["rt_cam_ref"])
+        angle = math.hypot(x, y, z)
+        if not math.isfinite(angle + sum(t)) or len(t) != 3:
+            return None
+        axis = [v / angle for v in (x, y, z)] if angle else [1.0, 0.0, 0.0]
+        cross = [axis[1] * t[2] - axis[2] * t[1], axis[2] * t[0] - axis[0] * t[2], axis[0] * t[1] - axis[1] * t[0]]
+        along = sum(a * v for a, v in zip(axis, t)) * (1 - math.cos(angle))
+        return [-(v * math.cos(angle) - c * math.sin(angle) + a * along) for v, c, a in zip(t, cross, axis)]      # -R^T t, by Rodrigues
+    except (OSError, ValueError, SyntaxError, KeyError, TypeError, RecursionError, MemoryError):
+        return None
+
+
 def _folder(scene):
     """Files that stand in each other's way: two photographs, two models, a folder where a file should be."""
     for file in (PHOTOGRAPH, PHOTOGRAPH.replace("left", "right"), MODEL):
@@ -344,29 +415,42 @@ def _folder(scene):
         yield from _groups(scene, groups)
 
 
-MODEL, CAMERA, PHOTOGRAPH = "model.obj|glb", "left.posed.cameramodel", "left.png|jpg|tif|exr"
+MODEL, PHOTOGRAPH = "model.obj|glb", "left.png|jpg|tif|exr"
 
 
 def inspect(scene, files):
     """Open in earnest what lies in the folder, so that bad input is refused before any stage has written anything.
 
-    files : names as in pipeline.yaml, of which those above are opened.  Returns problems, one line each.
+    files : names as in pipeline.yaml, of which the model, photographs and cameras are opened.  Returns problems, one line each.
     """
-    from lib import cameras, image, model as models
+    from lib import image, model as models
     problems, found = [], {}
-    for file, reader in ((MODEL, models.load), (CAMERA, cameras.read_cameramodel), (PHOTOGRAPH, image.read_photograph)):
+    cameras = {f"{side}.{posed}cameramodel": side for side in SIDES for posed in ("posed.", "")}
+    photographs = {PHOTOGRAPH.replace("left", side): side for side in SIDES}
+    readers = {MODEL: models.load, **dict.fromkeys(photographs, image.read_photograph), **dict.fromkeys(cameras, _camera)}
+    for file, reader in readers.items():
         if file in files and (path := scene.given(file)):
             try:
                 found[file] = reader(path)
             except BadInput as bad:
                 problems += bad.problems
-    if CAMERA in found and PHOTOGRAPH in found:
-        camera, (height, width) = found[CAMERA], found[PHOTOGRAPH].values.shape[:2]
-        if (width, height) != (camera.width, camera.height):
-            problems.append(f"{scene.given(PHOTOGRAPH)}: size: {width} x {height} is not the camera's {camera.width} x {camera.height} ({scene.given(CAMERA)})")
+    for camera, side in cameras.items():
+        for photograph in [name for name, other in photographs.items() if other == side and name in found and camera in found]:
+            (height, width), (wide, high) = found[photograph].values.shape[:2], (found[camera].width, found[camera].height)
+            if (width, height) != (wide, high):
+                problems.append(f"{scene.given(photograph)}: size: {width} x {height} is not the camera's {wide} x {high} ({scene.given(camera)})")
     if MODEL in found:
         problems += _groups(scene, found[MODEL].groups)
     return problems
+
+
+def _camera(path):
+    """A given camera, opened in earnest: a pinhole by lib/cameras; any other lens by lib/lenses."""
+    if lens_of(path) in (None, PINHOLE):
+        from lib import cameras
+        return cameras.read_cameramodel(path)
+    from lib import lenses
+    return lenses.read(path)
 
 
 def _groups(scene, groups):
@@ -390,7 +474,7 @@ def read(folder, stages):
     if not isinstance(facts, dict):
         raise BadInput(f"{path}: {show(facts)} is not a mapping of keys to values")
     bare = Scene(folder.name, folder)
-    outputs = {file for stage in stages.values() for file in stage.writes.values()}
+    outputs = {bare.views.get(file, file) for stage in stages.values() for file in stage.writes.values()}
     outputs |= {f"{stage}.report.json" for stage in stages}
     rules = {"board": _board, "lens": _lens, "lamps": _lamps, "reference": _reference, "transfer": _transfer, "surfaces": _surfaces,
              "goals": lambda v: _goals(v, outputs, bare), "augment": lambda v: _augment(v, bare), "params": lambda v: _params(v, stages)}

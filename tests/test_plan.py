@@ -376,7 +376,7 @@ def test_what_is_missing_of_the_system(toy, monkeypatch, capsys):
     from lib import doctor
     monkeypatch.setitem(doctor.NEEDS, "mrcal", (lambda: False, "apt-get install mrcal", None))
     monkeypatch.setitem(doctor.NEEDS, "egl", (lambda: False, "apt-get install libegl1", "rays are cast instead"))
-    (toy.folder / "pipeline.yaml").write_text(PIPELINE.replace("params: {lambda: 0.5, wrong: 0}", "needs: [mrcal, egl]"))
+    (toy.folder / "pipeline.yaml").write_text(PIPELINE.replace("params: {lambda: 0.5, wrong: 0}", "needs: {mrcal: left.png, egl: , magic: boards/}"))
     with pytest.raises(BadInput) as refusal:
         toy.plan()
     assert refusal.value.problems == ("mrcal: not installed, and the stage see needs it: apt-get install mrcal",)
@@ -394,4 +394,4 @@ def test_the_doctor_says_what_to_do():
 
 def test_help_names_the_stages(run):
     said = run("make", "help").stdout
-    assert "stages: calibrate segment match" in said and "make <scene>/<stage>" in said
+    assert "stages: calibrate undistort undistort_right orient segment match" in said and "make <scene>/<stage>" in said
