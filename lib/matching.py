@@ -1,0 +1,469 @@
+"""§2.2 Region matching: which region of the right photograph shows the same planar facet as a region of the left one.
+
+    pair = stereo(camera_left, camera_right)
+    matches = match(pair, labels_left, labels_right, values_left, values_right)
+
+Global features and the epipolar constraint, as in the paper. Everything is measured in *rectified* coordinates, where
+the two cameras look the same way, x along the baseline: there an epipolar line is a row, v is the same in both
+pictures, and the disparity of a planar facet is a linear function of the place,
+
+    u_left - u_right = a u + b v + c      (pixels of f_px; (a, b, c / f_px) = baseline * m, with m . x = 1 on the plane)
+
+so the foreshortening between the two views is exact, not approximated: the rows a region spans agree (its top and
+bottom tangents are epipolar lines), the ends of its rows give (a, b, c) by a robust fit, and with it left covers right.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from lib.stage import BadInput
+
+SAME_CENTRE = 1e-9                # data/SCENE.md, section 2: cameras nearer than this have no baseline
+STEEP = 0.2                       # cosine: directions nearer to the baseline's than this cannot be rectified
+
+
+@dataclass(frozen=True, eq=False)
+class Stereo:
+    """Two pinhole cameras and the frame in which they look the same way.
+
+    left, right : Camera
+    R_rect_left, R_rect_right : (3, 3)      camera axes to rectified axes: x towards the right camera's centre
+    t_right_left : (3,)                     p_right = R_right_left p_left + t_right_left; m or baselines
+    baseline : float > 0                    the cameras' distance, in the unit of their extrinsics
+    f_px : float                            the focal length of rectified pixels
+    """
+
+    left: object
+    right: object
+    R_rect_left: np.ndarray
+    R_rect_right: np.ndarray
+    R_right_left: np.ndarray
+    t_right_left: np.ndarray
+    baseline: float
+    f_px: float
+
+    def rectified(self, q, side):
+        """(N, 2) px of the photograph -> (N, 2) px rectified; nan where the direction is too near the baseline's.
+
+        side : "left" or "right"
+        """
+        camera, R = (self.left, self.R_rect_left) if side == "left" else (self.right, self.R_rect_right)
+        v = camera.directions(q) @ R.T
+        z = np.where(v[..., 2] > STEEP * np.linalg.norm(v, axis=-1), v[..., 2], np.nan)
+        return self.f_px * v[..., :2] / z[..., None]
+
+
+def stereo(left, right) -> Stereo:
+    """The pair's geometry. ValueError where the two cameras have the same centre: nothing can be known of depth."""
+    T = right.T_cam_world @ np.linalg.inv(left.T_cam_world)
+    R, t = T[:3, :3], T[:3, 3]
+    to_right = left.T_cam_world[:3, :3] @ (right.centre - left.centre)
+    baseline = float(np.linalg.norm(to_right))
+    if not baseline > SAME_CENTRE:
+        raise ValueError("the two cameras have the same centre")
+    x = to_right / baseline
+    ahead = np.array([0, 0, 1.0]) + R[2]                              # the mean of the two optical axes, left frame
+    z = ahead - (ahead @ x) * x
+    if np.linalg.norm(z) < 1e-6:                                      # along the baseline: any direction across it
+        z = np.cross(x, np.array([0, 1.0, 0]))
+    z /= np.linalg.norm(z)
+    R_rect_left = np.stack([x, np.cross(z, x), z])
+    f_px = float(np.sqrt(np.abs([left.K[0, 0] * left.K[1, 1], right.K[0, 0] * right.K[1, 1]])).mean())
+    return Stereo(left, right, R_rect_left, R_rect_left @ R.T, R, t, baseline, f_px)
+
+
+# -- what a region is
+
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """One photograph's regions, in rectified pixels. N = the largest label; index 0 is label 1.
+
+    pixels : (N,)                       area in the photograph
+    mean : (N, C)                       colour
+    centre : (N, 2)                     mean (u, v); nan where a pixel cannot be rectified
+    low, high : (N,)                    first and last row
+    cut : (N,) bool                     touches the picture's border
+    row_start : (N + 1,)                row r of region i is row_start[i] + r - low[i]
+    ends : (rows, 2)                    least and greatest u in each row; nan where it has no pixel
+    whole : (rows, 2) bool              that end is not at the picture's border
+    order, first : (pixels,), (N + 1,)  the pixels of region i are order[first[i]:first[i + 1]]
+    """
+
+    pixels: np.ndarray
+    mean: np.ndarray
+    centre: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    cut: np.ndarray
+    row_start: np.ndarray
+    ends: np.ndarray
+    whole: np.ndarray
+    order: np.ndarray
+    first: np.ndarray
+
+
+@njit(cache=True)
+def _rows(labels, u, v, low, row_start, ends, whole):
+    height, width = labels.shape
+    for y in range(height):
+        for x in range(width):
+            label = labels[y, x]
+            if label == 0 or not v[y, x] == v[y, x]:
+                continue
+            i = label - 1
+            row = row_start[i] + int(np.floor(v[y, x])) - low[i]
+            inside = 0 < x < width - 1 and 0 < y < height - 1
+            if not ends[row, 0] <= u[y, x]:
+                ends[row, 0], whole[row, 0] = u[y, x], inside
+            if not ends[row, 1] >= u[y, x]:
+                ends[row, 1], whole[row, 1] = u[y, x], inside
+
+
+def regions(pair, labels, values, side) -> Regions:
+    """labels : (H, W) int, 0 = nothing; values : (H, W, C)."""
+    height, width = labels.shape
+    n = int(labels.max(initial=0))
+    flat = labels.ravel()
+    order = np.argsort(flat, kind="stable")
+    first = np.searchsorted(flat[order], np.arange(1, n + 2))
+    pixels = np.diff(first)
+    count = np.maximum(pixels, 1)
+    mean = np.stack([np.bincount(flat, values[..., c].ravel(), n + 1)[1:] for c in range(values.shape[2])], axis=1) / count[:, None]
+    uv = pair.rectified((pair.left if side == "left" else pair.right).pixels(), side)
+    u, v = np.ascontiguousarray(uv[..., 0]), np.ascontiguousarray(uv[..., 1])
+    centre = np.stack([np.bincount(flat, c.ravel(), n + 1)[1:] for c in (u, v)], axis=1) / count[:, None]
+    low, high = np.full(n + 1, np.iinfo(np.int64).max), np.full(n + 1, np.iinfo(np.int64).min)
+    known = np.isfinite(v).ravel()
+    row = np.floor(v.ravel()[known]).astype(np.int64)
+    np.minimum.at(low, flat[known], row)
+    np.maximum.at(high, flat[known], row)
+    low, high = low[1:], high[1:]
+    high = np.where(high < low, low - 1, high)
+    row_start = np.concatenate([[0], np.cumsum(high - low + 1)])
+    ends = np.full((row_start[-1], 2), np.nan)
+    whole = np.zeros(ends.shape, bool)
+    _rows(labels, u, v, low, row_start, ends, whole)
+    cut = np.zeros(n + 1, bool)
+    for side_of in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        cut[side_of] = True
+    return Regions(pixels, mean, centre, low, high, cut[1:], row_start, ends, whole, order, first)
+
+
+# -- one pair of regions
+
+TOLERANCE_PX = 1.5                # ends of rows nearer than this agree: the regions are whole pixels
+TILT = 0.3                        # a and b of a facet are of this order: the weak prior of narrow regions
+MOST = 1500                       # pixels looked at per region for its overlap
+
+
+@njit(cache=True)
+def _solve3(A, b):
+    """Cholesky of a 3 x 3 system that is positive definite."""
+    l00 = np.sqrt(A[0, 0])
+    l10, l20 = A[1, 0] / l00, A[2, 0] / l00
+    l11 = np.sqrt(A[1, 1] - l10 * l10)
+    l21 = (A[2, 1] - l20 * l10) / l11
+    l22 = np.sqrt(A[2, 2] - l20 * l20 - l21 * l21)
+    y0 = b[0] / l00
+    y1 = (b[1] - l10 * y0) / l11
+    y2 = (b[2] - l20 * y0 - l21 * y1) / l22
+    x2 = y2 / l22
+    x1 = (y1 - l21 * x2) / l11
+    return (y0 - l10 * x1 - l20 * x2) / l00, x1, x2
+
+
+@njit(cache=True)
+def _fit(low, high, l_low, l_start, l_ends, l_whole, r_low, r_start, r_ends, r_whole, work):
+    """Robust (a, b, c) from the ends of the rows low..high that both regions have, and the share of the ends that agree with it."""
+    n = 0
+    for row in range(low, high + 1):
+        for end in range(2):
+            i, j = l_start + row - l_low, r_start + row - r_low
+            d = l_ends[i, end] - r_ends[j, end]
+            if d == d and l_whole[i, end] and r_whole[j, end]:
+                work[n, 0], work[n, 1], work[n, 2] = l_ends[i, end], row + 0.5, d
+                n += 1
+    if n < 3:
+        return 0.0, 0.0, 0.0, 0.0, n
+    u0, v0 = work[:n, 0].mean(), work[:n, 1].mean()
+    a, b, c = 0.0, 0.0, np.median(work[:n, 2])
+    scale = 16.0
+    A, g = np.zeros((3, 3)), np.zeros(3)
+    for iteration in range(12):
+        A[:] = 0
+        g[:] = 0
+        A[0, 0] = A[1, 1] = 1 / TILT ** 2
+        for k in range(n):
+            u, v, d = work[k, 0] - u0, work[k, 1] - v0, work[k, 2]
+            e = (d - a * u - b * v - c) / scale
+            w = 1 / (1 + e * e) ** 2
+            A[0, 0] += w * u * u
+            A[1, 0] += w * u * v
+            A[1, 1] += w * v * v
+            A[2, 0] += w * u
+            A[2, 1] += w * v
+            A[2, 2] += w
+            g[0] += w * u * d
+            g[1] += w * v * d
+            g[2] += w * d
+        A[2, 2] += 1e-9
+        a, b, c = _solve3(A, g)
+        scale = max(0.6 * scale, TOLERANCE_PX)
+    agree = 0
+    for k in range(n):
+        if abs(work[k, 2] - a * (work[k, 0] - u0) - b * (work[k, 1] - v0) - c) <= TOLERANCE_PX:
+            agree += 1
+    return a, b, c - a * u0 - b * v0, agree / n, n
+
+
+@njit(cache=True)
+def _overlap(i, j, a, b, c, f, R, K, u, v, order, first, labels, values_from, values_to, sign):
+    """Of the pixels of region i that the plane takes into the other picture: the share that lands in region j, the mean
+    difference of colour of those that do, and the share that could be seen there."""
+    height, width = labels.shape
+    step = max(1, (first[i + 1] - first[i]) // MOST)
+    seen = inside = total = 0
+    difference = 0.0
+    for k in range(first[i], first[i + 1], step):
+        p = order[k]
+        y, x = p // u.shape[1], p % u.shape[1]
+        total += 1
+        if sign > 0:
+            u2 = u[y, x] - (a * u[y, x] + b * v[y, x] + c)
+        else:
+            u2 = (u[y, x] + b * v[y, x] + c) / (1 - a)
+        d0, d1, d2 = u2 / f, v[y, x] / f, 1.0
+        z = R[0, 2] * d0 + R[1, 2] * d1 + R[2, 2] * d2
+        if z <= 0:
+            continue
+        qx = K[0, 0] * (R[0, 0] * d0 + R[1, 0] * d1 + R[2, 0] * d2) / z + K[0, 2]
+        qy = K[1, 1] * (R[0, 1] * d0 + R[1, 1] * d1 + R[2, 1] * d2) / z + K[1, 2]
+        ix, iy = int(np.floor(qx + 0.5)), int(np.floor(qy + 0.5))
+        if ix < 0 or iy < 0 or ix >= width or iy >= height:
+            continue
+        seen += 1
+        if labels[iy, ix] == j + 1:
+            inside += 1
+            for ch in range(values_from.shape[2]):
+                difference += abs(values_from[y, x, ch] - values_to[iy, ix, ch])
+    return inside / max(seen, 1), difference / max(inside * values_from.shape[2], 1), seen / total
+
+
+# Why a region has no partner, in the order in which it is asked.
+REASONS = ("too small", "along the baseline", "nothing in the epipolar band", "no such colour", "other size or place", "no plane in front of both cameras",
+           "other outline", "left does not cover right", "too little alike", "not mutual", "ambiguous")
+(_SMALL, _ALONG, _BAND, _COLOUR, _SIZE, _BEHIND, _OUTLINE, _COVER, _ALIKE, _MUTUAL, _AMBIGUOUS) = range(len(REASONS))
+
+
+@njit(cache=True)
+def _candidates(smallest, colour, by_row, l_pixels, l_mean, l_centre, l_low, l_high, l_cut, l_start, l_ends, l_whole, l_order, l_first, l_u, l_v, l_labels,
+                l_values, l_R, l_K, r_pixels, r_mean, r_centre, r_low, r_high, r_cut, r_start, r_ends, r_whole, r_order, r_first, r_u, r_v, r_labels,
+                r_values, r_R, r_K, f):
+    """Every pair of regions that may match: (n, 2) indices, (n,) similarity, (n, 3) plane; and how far each left region came."""
+    found_i, found_j, found_s, found_p = [0], [0], [0.0], [(0.0, 0.0, 0.0)]
+    far = np.full(len(l_pixels), _SMALL)
+    far_right = np.full(len(r_pixels), _SMALL)
+    tallest = 0
+    for j in range(len(r_pixels)):
+        if r_pixels[j] >= smallest:
+            far_right[j] = _BAND
+            tallest = max(tallest, r_high[j] - r_low[j])
+    lows = r_low[by_row]
+    work = np.empty((2 * (2 + max((l_high - l_low).max(), 0)), 3))
+    for i in range(len(l_pixels)):
+        if l_pixels[i] < smallest:
+            continue
+        if not l_centre[i, 0] == l_centre[i, 0]:
+            far[i] = _ALONG
+            continue
+        far[i] = _BAND
+        extent = l_high[i] - l_low[i] + 1
+        slack = 2 + int(0.1 * extent)
+        reach = extent if l_cut[i] else slack
+        k = np.searchsorted(lows, l_low[i] - max(reach, 2 + tallest // 2))
+        while k < len(by_row) and lows[k] <= l_high[i]:
+            j = by_row[k]
+            k += 1
+            if not r_centre[j, 0] == r_centre[j, 0]:
+                far_right[j] = _ALONG
+                continue
+            cut = l_cut[i] or r_cut[j]
+            low, high = max(l_low[i], r_low[j]), min(l_high[i], r_high[j])
+            union = max(l_high[i], r_high[j]) - min(l_low[i], r_low[j]) + 1
+            if cut:
+                if high - low + 1 < 0.5 * union:
+                    continue
+            elif abs(l_low[i] - r_low[j]) > slack or abs(l_high[i] - r_high[j]) > slack:
+                continue
+            stage = _COLOUR
+            worst = 0.0
+            for ch in range(l_mean.shape[1]):
+                worst = max(worst, abs(l_mean[i, ch] - r_mean[j, ch]))
+            if worst <= colour:
+                stage = _SIZE
+                ratio = l_pixels[i] / r_pixels[j]
+                most = 4.0 if cut else 2.0
+                if ratio < most and ratio * most > 1 and (l_centre[i, 0] > r_centre[j, 0] or cut):
+                    stage = _OUTLINE
+                    a, b, c, agree, n = _fit(low, high, l_low[i], l_start[i], l_ends, l_whole, r_low[j], r_start[j], r_ends, r_whole, work)
+                    if n >= 6 and agree >= 0.5:
+                        stage = _BEHIND
+                        if a < 0.9 and a * l_centre[i, 0] + b * l_centre[i, 1] + c > 0:
+                            stage = _COVER
+                            there, off, seen = _overlap(i, j, a, b, c, f, r_R, r_K, l_u, l_v, l_order, l_first, r_labels, l_values, r_values, 1)
+                            back, off2, seen2 = _overlap(j, i, a, b, c, f, l_R, l_K, r_u, r_v, r_order, r_first, l_labels, r_values, l_values, -1)
+                            least = min(there, back)
+                            if least >= 0.5 and min(seen, seen2) >= 0.25:
+                                stage = _ALIKE
+                                cover = there * back / (there + back - there * back)        # of two shares: the intersection over the union
+                                found_i.append(i)
+                                found_j.append(j)
+                                found_s.append(cover * np.sqrt(agree) * np.exp(-0.5 * (0.5 * (off + off2) / colour) ** 2))
+                                found_p.append((a, b, c))
+            far[i] = max(far[i], stage)
+            far_right[j] = max(far_right[j], stage)
+    return np.array(found_i)[1:], np.array(found_j)[1:], np.array(found_s)[1:], np.array(found_p)[1:], far, far_right
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """left, right : (M,) labels, one to one, best first       similarity : (M,) in [0, 1]
+    plane : (M, 3)                          m of the plane that took left onto right, left frame, m . x = 1 (whole-pixel accuracy)
+    refused_left, refused_right : dict      why each other region has no partner -> its labels
+    """
+
+    left: np.ndarray
+    right: np.ndarray
+    similarity: np.ndarray
+    plane: np.ndarray
+    refused_left: dict
+    refused_right: dict
+
+
+def match(pair, labels_left, labels_right, values_left, values_right, *, similarity=0.6, margin=0.9, smallest=40, colour=0.1) -> Matches:
+    """One to one, strict, best first: each the other's best, alike by at least `similarity`, and the next best below `margin` of it.
+
+    labels_* : (H, W) int, from 1; values_* : (H, W, C), display-referred in [0, 1], both of C channels
+    smallest : px     regions of fewer pixels say too little        colour : largest difference of the means of a channel
+    """
+    l, r = regions(pair, labels_left, values_left, "left"), regions(pair, labels_right, values_right, "right")
+    uv_l, uv_r = pair.rectified(pair.left.pixels(), "left"), pair.rectified(pair.right.pixels(), "right")
+    by_row = np.flatnonzero(r.pixels >= smallest)
+    by_row = by_row[np.argsort(r.low[by_row], kind="stable")]
+    split = lambda uv: (np.ascontiguousarray(uv[..., 0]), np.ascontiguousarray(uv[..., 1]))
+    side = lambda x, uv, labels, values, R, camera: (x.pixels, x.mean, x.centre, x.low, x.high, x.cut, x.row_start, x.ends, x.whole, x.order, x.first,
+                                                     *split(uv), labels, values, np.ascontiguousarray(R), camera.K)
+    i, j, s, plane, far_l, far_r = _candidates(
+        smallest, colour, by_row, *side(l, uv_l, labels_left, values_left, pair.R_rect_left, pair.left),
+        *side(r, uv_r, labels_right, values_right, pair.R_rect_right, pair.right), pair.f_px)
+    best = np.lexsort((j, i, -s))
+    i, j, s, plane = i[best].astype(int), j[best].astype(int), s[best], plane[best].reshape(-1, 3)
+    n_l, n_r = len(l.pixels), len(r.pixels)
+
+    def first_and_second(index, n):
+        top, second, at = np.zeros(n), np.zeros(n), np.full(n, -1)
+        for k, x in enumerate(index):
+            if at[x] < 0:
+                at[x], top[x] = k, s[k]
+            elif second[x] == 0:
+                second[x] = s[k]
+        return at, top, second
+    at_l, top_l, second_l = first_and_second(i, n_l)
+    at_r, top_r, second_r = first_and_second(j, n_r)
+    k = np.arange(len(i))
+    alike, mutual = s >= similarity, (at_l[i] == k) & (at_r[j] == k)
+    clear = np.maximum(second_l[i], second_r[j]) <= margin * s
+    for far, index, at in ((far_l, i, at_l), (far_r, j, at_r)):
+        for x in np.flatnonzero(at >= 0):
+            far[x] = _ALIKE if not alike[at[x]] else _MUTUAL if not mutual[at[x]] else _AMBIGUOUS
+    keep = alike & mutual & clear
+    left, right, s = i[keep] + 1, j[keep] + 1, s[keep]
+    m_rect = plane[keep] / pair.baseline / np.array([1, 1, pair.f_px])
+    return Matches(left, right, s, m_rect @ pair.R_rect_left, _refused(far_l, left, l.pixels), _refused(far_r, right, r.pixels))
+
+
+def _refused(far, matched, pixels):
+    far = np.where(pixels > 0, far, -1)
+    far[matched - 1] = -1
+    return {name: (np.flatnonzero(far == k) + 1).tolist() for k, name in enumerate(REASONS) if (far == k).any()}
+
+
+def photographs(left, right):
+    """(H, W, C) of two photographs as they are compared: display-referred in [0, 1], of equally many channels."""
+    values = [np.clip(p.values, 0, 1) ** (1 / 2.2) if p.linear else p.values for p in (left, right)]
+    if values[0].shape[2] != values[1].shape[2]:
+        values = [v.mean(axis=2, keepdims=True) for v in values]
+    return [np.ascontiguousarray(v) for v in values]
+
+
+def read_pair(left_path, right_path, photograph_paths, label_paths):
+    """(Stereo, photographs, labels) of a stage's options; BadInput where their sizes disagree or there is no baseline."""
+    from lib import cameras, image
+
+    camera = [cameras.read_cameramodel(path) for path in (left_path, right_path)]
+    photograph = [image.read_photograph(path) for path in photograph_paths]
+    labels = [image.read_labels(path) for path in label_paths]
+    for path, shape, c, of in [(p, x.values.shape[:2], c, of) for p, x, c, of in zip(photograph_paths, photograph, camera, (left_path, right_path))] + \
+                              [(p, x.shape, c, of) for p, x, c, of in zip(label_paths, labels, camera, (left_path, right_path))]:
+        if shape != (c.height, c.width):
+            raise BadInput(f"{path}: size: {shape[1]} x {shape[0]} is not the camera's {c.width} x {c.height} ({of})")
+    try:
+        pair = stereo(*camera)
+    except ValueError as error:
+        raise BadInput(f"{right_path}: extrinsics: {error} as in {left_path}: without a baseline nothing can be known of depth") from None
+    return pair, photographs(*photograph), labels
+
+
+HEAD = "left_label,right_label,similarity"
+
+
+def write(path, matches):
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(HEAD + "\n" + "".join(f"{l},{r},{s:.6f}\n" for l, r, s in zip(matches.left, matches.right, matches.similarity)))
+
+
+def read(path, labels_left, labels_right):
+    """(M,) left and right labels of matches.csv; each must be in its picture, and once only."""
+    import csv
+
+    with open(path, newline="", encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    if not rows or ",".join(rows[0]) != HEAD:
+        raise BadInput(f"{path}: header: {','.join(rows[0]) if rows else 'nothing'!r} is not {HEAD!r}")
+    pairs = []
+    for number, row in enumerate(rows[1:], 2):
+        try:
+            l, r, s = int(row[0]), int(row[1]), float(row[2])
+        except (ValueError, IndexError):
+            raise BadInput(f"{path}: line {number}: {','.join(row)!r} is not two labels and a number") from None
+        pairs.append((l, r))
+    for side, labels in enumerate((labels_left, labels_right)):
+        there, seen = set(np.unique(labels).tolist()), set()
+        for number, p in enumerate(pairs, 2):
+            if p[side] not in there or p[side] == 0:
+                raise BadInput(f"{path}: line {number}: {('left', 'right')[side]}_label: {p[side]} is not in the label image")
+            if p[side] in seen:
+                raise BadInput(f"{path}: line {number}: {('left', 'right')[side]}_label: {p[side]} stands there twice")
+            seen.add(p[side])
+    p = np.array(pairs, int).reshape(-1, 2)
+    return p[:, 0], p[:, 1]
+
+
+def share(labels, chosen):
+    """The share of the picture that the chosen labels cover."""
+    return float(np.isin(labels, chosen).mean())
+
+
+def warm_up():
+    """Compile, or load, the kernels."""
+    from lib.cameras import Camera
+
+    T = np.eye(4)
+    T[0, 3] = -0.1
+    K = np.array([[20.0, 0, 7.5], [0, 20, 7.5], [0, 0, 1]])
+    labels = np.ones((16, 16), np.int32)
+    labels[4:12, 6:12] = 2
+    values = np.ascontiguousarray(labels[..., None] / 2.0)
+    match(stereo(Camera(K, 16, 16, np.eye(4)), Camera(K, 16, 16, T)), labels, np.roll(labels, -2, 1), values, np.roll(values, -2, 1))

@@ -1,0 +1,61 @@
+#!/usr/bin/env python3
+"""§2.2 Region matching: pairs of regions, left and right, that show the same planar facet.
+
+    $ stages/match.py --photograph left.png --photograph-right right.png --regions left.regions.png --regions-right right.regions.png \
+          --camera left.cameramodel --camera-right right.cameramodel --matches matches.csv --report match.report.json
+
+reads   photographs, regions, cameras (pinholes, extrinsics in one frame)
+writes  matches        left_label,right_label,similarity: one to one, best first; what has no partner is left out
+"""
+import argparse
+import sys
+from pathlib import Path
+
+sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
+from lib import stage
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in ("photograph", "photograph-right", "regions", "regions-right", "camera", "camera-right", "matches"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--report")
+    parser.add_argument("--similarity", type=float, default=0.6, help="least similarity of a pair, in (0, 1)")
+    parser.add_argument("--smallest", type=int, default=40, help="px: regions of fewer pixels are not matched")
+    return parser
+
+
+def main(opt):
+    from lib.report import Report
+
+    if not 0 < opt.similarity < 1:
+        raise stage.BadInput(f"--similarity: {opt.similarity} is not between 0 and 1")
+    if opt.smallest < 1:
+        raise stage.BadInput(f"--smallest: {opt.smallest} is less than 1")
+    paths = (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
+    with Report(opt.report, inputs=[*paths[0], *paths[1], opt.camera, opt.camera_right], arguments=vars(opt)) as report:
+        with report.excluded("imports"):
+            from lib import artefact, cameras, image, matching      # noqa: F401  what read_pair imports late
+            import cv2                                              # noqa: F401
+        with report.excluded("compile"):
+            matching.warm_up()
+        with report.timing("read"):
+            pair, values, labels = matching.read_pair(opt.camera, opt.camera_right, *paths)
+        with report.timing("match"):
+            matches = matching.match(pair, *labels, *values, similarity=opt.similarity, smallest=opt.smallest)
+
+        report["matched"] = len(matches.left)
+        report["regions"] = {side: int(len(set(x.ravel().tolist()) - {0})) for side, x in zip(("left", "right"), labels)}
+        report["covered"] = {side: matching.share(x, found) for side, x, found in zip(("left", "right"), labels, (matches.left, matches.right))}
+        report["refused"] = {side: {why: len(which) for why, which in refused.items()}
+                             for side, refused in (("left", matches.refused_left), ("right", matches.refused_right))}
+        report["refused_labels"] = {"left": matches.refused_left, "right": matches.refused_right}
+        if len(matches.left) == 0:
+            report.status = "nothing matched"
+            report.warning(f"{opt.regions}: none of its regions has a partner in {opt.regions_right}")
+        with artefact.writing(opt.matches) as partial:
+            matching.write(partial, matches)
+
+
+if __name__ == "__main__":
+    stage.run(main, options())

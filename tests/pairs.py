@@ -1,0 +1,103 @@
+"""Stereo pairs with known answers: a model drawn in two pinhole views, each facet with its own shaded colour, blurred by the pixel's area, noisy."""
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lib import cameras, index_buffer, model as models
+from lib.cameras import Camera
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """left, right : Camera; values : two (H, W, 3) in [0, 1] without noise; facet : two (H, W) -1 = nothing
+    labels : two (H, W) int32, the true regions: 4-connected parts of one facet; facet_of : two (N + 1,) facet of each label"""
+
+    model: object
+    left: Camera
+    right: Camera
+    values: tuple
+    facet: tuple
+    labels: tuple
+    facet_of: tuple
+
+    def noisy(self, sigma, rng, bits=8):
+        """The photographs as a camera gives them."""
+        steps = 2 ** bits - 1
+        return [np.ascontiguousarray(np.round(np.clip(v + rng.normal(0, sigma, v.shape), 0, 1) * steps) / steps) for v in self.values]
+
+    def plane(self, label):
+        """(3,) m of the facet of a left label in the left frame, m . x = 1."""
+        f = self.facet_of[0][label]
+        R, t = self.left.T_cam_world[:3, :3], self.left.T_cam_world[:3, 3]
+        n = R @ self.model.facet_normal[f]
+        return n / (self.model.facet_offset[f] + n @ t)
+
+
+def components(facet):
+    """(H, W) int32 labels from 1 of the 4-connected parts of equal facet (-1: label 0), and the facet of each label."""
+    import cv2
+
+    labels = np.zeros(facet.shape, np.int32)
+    of = [-1]
+    for f in np.unique(facet[facet >= 0]):
+        n, part = cv2.connectedComponents((facet == f).astype(np.uint8), connectivity=4)
+        labels[part > 0] = part[part > 0] + len(of) - 1
+        of += [int(f)] * (n - 1)
+    return labels, np.array(of)
+
+
+def turned(left, angle_deg, distance, twist_deg=0.0):
+    """The right camera: moved to its right so that both axes meet at `distance` under the angle."""
+    a = np.radians(angle_deg)
+    R, c = left.T_cam_world[:3, :3], left.centre
+    target = c + distance * R[2]
+    half = 2 * distance * np.sin(a / 2)
+    centre = c + half * (np.cos(a / 2) * R[0] + np.sin(a / 2) * R[2])
+    z = (target - centre) / np.linalg.norm(target - centre)
+    x = np.cross(R[1], z)
+    x /= np.linalg.norm(x)
+    R2 = np.stack([x, np.cross(z, x), z])
+    s = np.radians(twist_deg)
+    R2 = np.array([[np.cos(s), -np.sin(s), 0], [np.sin(s), np.cos(s), 0], [0, 0, 1]]) @ R2
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R2, -R2 @ centre
+    return Camera(left.K, left.width, left.height, T)
+
+
+def draw(model, camera, colour, shade, supersample=4):
+    """(H, W, 3) area-averaged colours, (H, W) facet at the pixels' centres. The shading moves with the surface: the same in every view."""
+    s = supersample
+    K = camera.K.copy()
+    K[:2] *= s
+    K[:2, 2] += (s - 1) / 2
+    fine = Camera(K, camera.width * s, camera.height * s, camera.T_cam_world)
+    index = index_buffer.reference(model, fine)
+    p = camera.centre + (fine.directions(fine.pixels()) * index.depth[..., None]) @ camera.T_cam_world[:3, :3]
+    seen = index.facet >= 0
+    light = np.zeros((*index.facet.shape, 1))
+    light[seen, 0] = 1 + np.einsum("ij,ij->i", p[seen], shade[index.facet[seen]]) - np.einsum("ij,ij->i", model.vertices[model.triangles[index.triangle[seen], 0]], shade[index.facet[seen]])
+    values = np.where(seen[..., None], colour[index.facet] * light, 0).clip(0, 1)
+    values = values.reshape(camera.height, s, camera.width, s, 3).mean(axis=(1, 3))
+    return values, index_buffer.reference(model, camera).facet
+
+
+def office(angle_deg=7.0, seed=0, focal=600.0, size=(640, 480), shading=0.03, path=ROOT / "data" / "office"):
+    """The office in two views; colours and shading of each facet by the seed, and a slightly moved camera unless it is 0."""
+    rng = np.random.default_rng([11, seed])
+    model = models.load(path / "model.obj")
+    left = cameras.read_cameramodel(path / "left.posed.cameramodel")
+    K = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    T = left.T_cam_world
+    if seed:
+        T = cameras.matrix_from_rt([*rng.normal(0, 0.02, 3), *rng.normal(0, 0.05, 3)]) @ T
+    left = Camera(K, *size, T)
+    right = turned(left, angle_deg, 3.5, twist_deg=0.5)
+    base = rng.uniform(0.15, 0.85, (len(model.groups), 3))[model.facet_group]
+    colour = (base * rng.uniform(0.6, 1.0, (model.n_facets, 1))).clip(0.05, 0.9)
+    shade = rng.normal(0, shading, (model.n_facets, 3))
+    drawn = [draw(model, c, colour, shade) for c in (left, right)]
+    parts = [components(f) for _, f in drawn]
+    return Pair(model, left, right, tuple(d[0] for d in drawn), tuple(d[1] for d in drawn), tuple(p[0] for p in parts), tuple(p[1] for p in parts))
