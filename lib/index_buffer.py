@@ -450,13 +450,34 @@ def facet_edges(model):
 def visible_edges(model, camera, facet, depth):
     """The hidden-surface buffer (figure 4.7, middle): (H, W) bool, the pixels that a visible edge of a facet crosses.
 
-    facet, depth : (H, W), the index buffer. Edges are followed in steps of a quarter of a pixel and compared with the
-    furthest depth among the pixel and its neighbours; slivers thinner than a pixel leave their edges too.
+    facet, depth : (H, W), the index buffer; slivers thinner than a pixel leave their edges too.
     """
-    import cv2
+    edges = np.zeros((camera.height, camera.width), bool)
+    _, q, seen = _followed_edges(model, camera, facet, depth)
+    x, y = _nearest_pixel(camera, q[seen])
+    edges[y, x] = True
+    return edges
 
+
+def wireframe(model, camera, facet, depth):
+    """(S, 2, 2) px: the visible pieces of the facets' edges, from (x, y) to (x, y); the lines of figure 2.6."""
+    owner, q, seen = _followed_edges(model, camera, facet, depth)
+    begins = seen & ~np.concatenate([[False], seen[:-1] & (owner[1:] == owner[:-1])]) if len(q) else seen
+    ends = seen & ~np.concatenate([seen[1:] & (owner[1:] == owner[:-1]), [False]]) if len(q) else seen
+    return np.stack([q[begins], q[ends]], axis=1)
+
+
+def _nearest_pixel(camera, q):
+    x, y = np.floor(q + 0.5).astype(int).T
+    return np.clip(x, 0, camera.width - 1), np.clip(y, 0, camera.height - 1)
+
+
+def _followed_edges(model, camera, facet, depth):
+    """(owner (N,), q (N, 2) px, seen (N,) bool): every facet edge inside the picture, followed in steps of a quarter of a pixel.
+
+    A point is seen where it is not behind the furthest depth among its pixel and the neighbours.
+    """
     H, W = camera.height, camera.width
-    edges = np.zeros((H, W), bool)
     a, b = np.moveaxis(camera.points(model.vertices)[facet_edges(model)], 1, 0)
     unit = np.abs(a).max() if len(a) else 1.0
     # Clip to the pyramid of the picture: five half-spaces through the centre and the near plane, all linear in p.
@@ -476,7 +497,7 @@ def visible_edges(model, camera, facet, depth):
     a, b, begin, end = a[inside], b[inside], begin[inside, None], end[inside, None]
     a, b = a + begin * (b - a), a + end * (b - a)
     if len(a) == 0:
-        return edges
+        return np.zeros(0, int), np.zeros((0, 2)), np.zeros(0, bool)
     w = np.stack([1 / a[:, 2], 1 / b[:, 2]])                                   # linear along the edge in the picture
     qa, qb = (a @ K.T)[:, :2] * w[0, :, None], (b @ K.T)[:, :2] * w[1, :, None]
     steps = np.maximum(1, np.ceil(4 * np.linalg.norm(qb - qa, axis=1)).astype(int)) + 1
@@ -484,11 +505,8 @@ def visible_edges(model, camera, facet, depth):
     t = (np.arange(len(owner)) - np.repeat(np.cumsum(steps) - steps, steps)) / (steps - 1)[owner]
     q = qa[owner] + t[:, None] * (qb - qa)[owner]
     inverse = w[0][owner] * (1 - t) + w[1][owner] * t
-    x = np.clip(np.floor(q[:, 0] + 0.5).astype(int), 0, W - 1)
-    y = np.clip(np.floor(q[:, 1] + 0.5).astype(int), 0, H - 1)
-    seen = inverse >= _furthest(facet, depth)[y, x] * (1 - 1e-6)
-    edges[y[seen], x[seen]] = True
-    return edges
+    x, y = _nearest_pixel(camera, q)
+    return owner, q, inverse >= _furthest(facet, depth)[y, x] * (1 - 1e-6)
 
 
 def _furthest(facet, depth):
