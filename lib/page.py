@@ -40,6 +40,7 @@ class Parts:
     comparison: dict = None
     reports: dict = field(default_factory=dict)
     plan: list = field(default_factory=list)
+    vision: object = None                            # vision_page.Vision
 
 
 # ---- text ----
@@ -862,8 +863,11 @@ def build(parts, limit_bytes=LIMIT_BYTES):
 
 
 def _build(parts, width):
+    from lib import vision_page                      # which imports this module
+
     kind, badge, sentence = verdict(parts)
-    body = "".join([_hero(parts, width), _difference(parts, width), _materials(parts), _light(parts), _models(parts), _buffers(parts, width), _convergence(parts),
+    seeing = vision_page.sections(parts.vision, width) if parts.vision else ""
+    body = "".join([_hero(parts, width), _difference(parts, width), _materials(parts), _light(parts), _models(parts), seeing, _buffers(parts, width), _convergence(parts),
                     _times(parts), _warnings(parts), _made(parts)])
     return f"""<!doctype html>
 <html lang="en">
@@ -872,7 +876,7 @@ def _build(parts, width):
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <title>{esc(parts.scene)}: materials from one photograph</title>
-<style>{STYLE}</style>
+<style>{STYLE}{vision_page.STYLE if seeing else ''}</style>
 </head>
 <body>
 <header><p class="eyebrow">Materials and light from one photograph</p><h1>{esc(parts.scene)} <span class="badge {kind}">{esc(badge)}</span></h1><p class="verdict">{esc(sentence)}</p></header>

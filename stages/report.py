@@ -5,7 +5,8 @@
           --reports build/office/*.report.json --page report.html --report report.report.json
 
 reads   photograph, rendered, group, object, facet, hidden, trusted, depth, legend, materials, scores, comparison, reports;
-        each may be missing, and so is its section then.  Also plan.mk beside the page: what was left out, and why
+        of a pair: photograph, regions, camera (of the pair's frame) and those of the right side; matches, facets, pose, calibration,
+        orientation, model; each may be missing, and so is its section then.  Also plan.mk beside the page: what was left out, and why
 writes  page          HTML with everything in it, below 6 MB
 """
 import argparse
@@ -16,7 +17,8 @@ from pathlib import Path
 sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
 from lib import stage
 
-FILES = ("photograph", "group", "object", "facet", "legend", "depth", "trusted", "hidden", "materials", "rendered", "difference", "scores", "scorecard", "comparison")
+FILES = ("photograph", "group", "object", "facet", "legend", "depth", "trusted", "hidden", "materials", "rendered", "difference", "scores", "scorecard", "comparison",
+         "photograph_right", "regions", "regions_right", "camera", "camera_right", "matches", "facets", "pose", "calibration", "orientation", "model")
 
 
 def options():
@@ -24,7 +26,7 @@ def options():
     parser.add_argument("--scene", default="scene", help="its name")
     parser.add_argument("--transfer", type=stage.json_option, help="what scene.yaml says of it")
     for name in FILES:
-        parser.add_argument(f"--{name}")
+        parser.add_argument(f"--{name.replace('_', '-')}")
     parser.add_argument("--reports", nargs="*", default=[])
     parser.add_argument("--page", required=True)
     parser.add_argument("--report")
@@ -39,6 +41,22 @@ def left_out(plan):
     return re.findall(r"^#   without ([\w-]+): (.*)$", head, re.MULTILINE)
 
 
+def see(opt, read, shown):
+    """What there is of the vision half: vision_page.Vision, or None."""
+    from lib import artefact, cameras, image, model, vision_page
+
+    if not any(getattr(opt, name) for name in ("regions", "facets", "pose", "calibration")):
+        return None
+
+    def pair(name, reader):
+        return {side: read(option, reader) for side, option in zip(vision_page.SIDES, (name, f"{name}_right")) if getattr(opt, option)}
+
+    files = {name: read(name, artefact.read_json) for name in ("facets", "pose", "calibration", "orientation")}
+    return vision_page.see(photographs=pair("photograph", lambda path: shown(image.read_photograph(path))), regions=pair("regions", image.read_labels),
+                           cameras=pair("camera", cameras.read_cameramodel), matches=read("matches", vision_page.read_matches),
+                           model=read("model", model.load) if opt.pose else None, **files)
+
+
 def main(opt):
     from lib.report import Report
 
@@ -51,8 +69,11 @@ def main(opt):
         def read(name, reader):
             return reader(getattr(opt, name)) if getattr(opt, name) else None
 
+        def shown(picture):
+            return picture.values.clip(0, 1) ** (1 / 2.2) if picture.linear else picture.values
+
         photograph = read("photograph", image.read_photograph)
-        values = None if photograph is None else photograph.values.clip(0, 1) ** (1 / 2.2) if photograph.linear else photograph.values
+        values = None if photograph is None else shown(photograph)
         rendered = read("rendered", image.read_photograph)
         trusted, hidden = (read(name, image.read_labels) for name in ("trusted", "hidden"))
         text = page.build(page.Parts(
@@ -61,7 +82,7 @@ def main(opt):
             trusted=None if trusted is None else trusted > 0, hidden=None if hidden is None else hidden > 0,
             legend=read("legend", comparing.read_legend), materials=read("materials", comparing.read_materials),
             scores=read("scores", artefact.read_json), comparison=read("comparison", artefact.read_json),
-            reports=comparing.read_reports(opt.reports), plan=left_out(Path(opt.page).parent / "plan.mk")))
+            reports=comparing.read_reports(opt.reports), plan=left_out(Path(opt.page).parent / "plan.mk"), vision=see(opt, read, shown)))
         report["bytes"] = len(text.encode())
         with artefact.writing(opt.page) as partial:
             Path(partial).write_text(text, encoding="utf-8")
