@@ -251,6 +251,14 @@ def _overlap(i, j, a, b, c, f, R, K, u, v, order, first, labels, values_from, va
     return inside / max(seen, 1), difference / max(inside * values_from.shape[2], 1), seen / total
 
 
+def outline_plane(l, r, i, j):
+    """(a, b, c) of the disparity that takes the row ends of region i (index, left) to those of region j, the share of ends that agree, their number."""
+    low, high = max(l.low[i], r.low[j]), min(l.high[i], r.high[j])
+    work = np.empty((2 * max(high - low + 1, 1), 3))
+    a, b, c, agree, n = _fit(low, high, l.low[i], l.row_start[i], l.ends, l.whole, r.low[j], r.row_start[j], r.ends, r.whole, work)
+    return np.array([a, b, c]), agree, n
+
+
 # Why a region has no partner, in the order in which it is asked.
 REASONS = ("too small", "along the baseline", "nothing in the epipolar band", "no such colour", "other size or place", "no plane in front of both cameras",
            "other outline", "left does not cover right", "too little alike", "not mutual", "ambiguous")
@@ -456,14 +464,20 @@ def share(labels, chosen):
     return float(np.isin(labels, chosen).mean())
 
 
-def warm_up():
-    """Compile, or load, the kernels."""
+def toy():
+    """A small pair with one square, to try things on: (Stereo, labels, values)."""
     from lib.cameras import Camera
 
     T = np.eye(4)
     T[0, 3] = -0.1
-    K = np.array([[20.0, 0, 7.5], [0, 20, 7.5], [0, 0, 1]])
-    labels = np.ones((16, 16), np.int32)
-    labels[4:12, 6:12] = 2
-    values = np.ascontiguousarray(labels[..., None] / 2.0)
-    match(stereo(Camera(K, 16, 16, np.eye(4)), Camera(K, 16, 16, T)), labels, np.roll(labels, -2, 1), values, np.roll(values, -2, 1))
+    K = np.array([[40.0, 0, 15.5], [0, 40, 15.5], [0, 0, 1]])
+    labels = np.ones((32, 32), np.int32)
+    labels[8:24, 12:26] = 2
+    labels = [labels, np.roll(labels, -4, 1)]
+    return stereo(Camera(K, 32, 32, np.eye(4)), Camera(K, 32, 32, T)), labels, [np.ascontiguousarray(x[..., None] / 2.0) for x in labels]
+
+
+def warm_up():
+    """Compile, or load, the kernels."""
+    pair, labels, values = toy()
+    match(pair, *labels, *values)

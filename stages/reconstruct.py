@@ -1,0 +1,61 @@
+#!/usr/bin/env python3
+"""§2.3 Reconstruction: the plane of each matched pair of regions, with its covariance, and the region's outline on it.
+
+    $ stages/reconstruct.py --photograph left.png --photograph-right right.png --regions left.regions.png --regions-right right.regions.png \
+          --camera left.cameramodel --camera-right right.cameramodel --matches matches.csv --facets facets.json --mesh facets.ply
+
+reads   photographs, regions, cameras (pinholes, extrinsics in one frame), matches; orientation where the pair has no scale
+writes  facets         planes, polygons, covariances in the left camera's frame, and what was refused, and why
+        mesh           the same to look at
+"""
+import argparse
+import sys
+from pathlib import Path
+
+sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
+from lib import stage
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in ("photograph", "photograph-right", "regions", "regions-right", "camera", "camera-right", "matches", "facets", "mesh"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--orientation", help="orientation.json: the unit is the baseline where it says so")
+    parser.add_argument("--report")
+    return parser
+
+
+def main(opt):
+    from lib.report import Report
+
+    paths = (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
+    with Report(opt.report, inputs=[*paths[0], *paths[1], opt.camera, opt.camera_right, opt.matches, opt.orientation], arguments=vars(opt)) as report:
+        with report.excluded("imports"):
+            from lib import artefact, cameras, image, facets, matching      # noqa: F401  what read_pair imports late
+            import cv2                                                      # noqa: F401
+            import mapbox_earcut                                            # noqa: F401
+        with report.excluded("compile"):
+            facets.warm_up()
+        with report.timing("read"):
+            pair, values, labels = matching.read_pair(opt.camera, opt.camera_right, *paths)
+            left, right = matching.read(opt.matches, *labels)
+            unit = facets.unit_of(opt.orientation)
+        with report.timing("reconstruct"):
+            found, refused = facets.reconstruct(pair, labels, values, left, right, progress=stage.Bar("facets"))
+
+        report["facets"], report["refused"] = len(found), facets.reasons(refused)
+        report["covered"] = matching.share(labels[0], [x.left_label for x in found])
+        report["unit"] = unit
+        if not found:
+            report.status = "nothing reconstructed"
+            report.warning(f"{opt.matches}: none of its {len(left)} pairs gives a plane: {facets.reasons(refused)}")
+        else:
+            report.error("border_rms", facets.median_rms(found), unit="px", against="right borders")
+            report.error("distance_sigma", facets.median_sigma(found), unit="1", against="its own covariance")
+        with artefact.writing_all(opt.facets, opt.mesh) as (partial, mesh):
+            artefact.write_json(partial, facets.describe(found, refused, unit))
+            facets.write_ply(mesh, found, facets.colours(labels[0], values[0], found))
+
+
+if __name__ == "__main__":
+    stage.run(main, options())
