@@ -1,0 +1,827 @@
+"""§2.4 Recognition: which part of the model do the reconstructed facets show, and from where?
+
+    scene = read_facets("facets.json")
+    found = recognise(scene, model, camera)         # Recognition: poses, best first, and their matches
+
+The frame of the facets is the left camera's; a pose takes the model's frame ("world", metres) to it. The
+scale q is the metre per unit of the facets: 1, or unknown where the unit is the pair's baseline.
+
+Method. Normals alone give a few rotations (angles are the hash: pairs of scene facets against pairs of the
+model's directions). For each, a scene facet i may lie on a model facet a if it is not larger, and that holds for the
+positions in a flat box: thin along the normal (the covariance), as wide as the part that is seen may slide on
+what is there. The largest set of matches compatible with one displacement is the deepest point of those
+boxes, found by branch and bound, so that nothing is missed. The best candidates are fitted to the planes in
+closed form, then by least squares under the covariances, and rays say what the camera would see there: only a
+facet that would show itself where the region lies counts.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numba import njit
+
+from lib import artefact
+from lib.stage import BadInput
+
+GATE = 21.1            # chi-square of 3 degrees of freedom, 99.99 %
+DISTINCT_RAD = 0.05    # poses that differ by more than this, or by DISTINCT of the scene's depth, are different answers
+DISTINCT = 0.05
+
+
+# Facets of the scene.
+
+@dataclass(frozen=True, eq=False)
+class SceneFacets:
+    """m : (N, 3) 1/unit               m . x = 1 on the plane, left frame
+    covariance : (N, 3, 3)         of m
+    polygons : list of (k, 3)      outlines of what was seen, on the planes
+    labels : (N, 2) int            regions, left and right
+    unit : "m" or "baseline"
+    """
+
+    m: np.ndarray
+    covariance: np.ndarray
+    polygons: list
+    labels: np.ndarray
+    unit: str = "m"
+
+    def __len__(self):
+        return len(self.m)
+
+    @property
+    def normal(self):
+        """(N, 3) unit, towards the camera: n . x = d with d <= 0."""
+        return -self.m / np.linalg.norm(self.m, axis=1, keepdims=True)
+
+    @property
+    def distance(self):
+        """(N,) unit: of the planes from the camera."""
+        return 1 / np.linalg.norm(self.m, axis=1)
+
+
+def read_facets(path) -> SceneFacets:
+    """facets.json (data/SCENE.md, section 4), checked."""
+    content = artefact.read_json(path)
+    if not isinstance(content, dict) or not isinstance(content.get("facets"), list):
+        raise BadInput(f"{path}: facets: a list is needed")
+    for key, allowed in (("frame", ("left",)), ("unit", ("m", "baseline"))):
+        if content.get(key) not in allowed:
+            raise BadInput(f"{path}: {key}: {content.get(key)!r} is not {' or '.join(allowed)}")
+    m, covariance, polygons, labels = [], [], [], []
+    for i, facet in enumerate(content["facets"]):
+        where = f"{path}: facets: {i}"
+
+        def numbers(value, name, shape):
+            try:
+                array = np.array(value, float)
+            except (TypeError, ValueError):
+                raise BadInput(f"{where}: {name}: {value!r:.60} are not numbers") from None
+            if array.ndim != len(shape) or any(s and s != n for s, n in zip(shape, array.shape)) or not np.isfinite(array).all():
+                raise BadInput(f"{where}: {name}: finite numbers of shape {shape} are needed, got {value!r:.60}")
+            return array
+        if not isinstance(facet, dict) or not isinstance(facet.get("plane"), dict):
+            raise BadInput(f"{where}: plane: is missing")
+        n, d = numbers(facet["plane"].get("n"), "plane.n", (3,)), float(numbers(facet["plane"].get("d"), "plane.d", ()))
+        if abs(np.linalg.norm(n) - 1) > 1e-3 or d >= 0:
+            raise BadInput(f"{where}: plane: a unit normal towards the camera and d < 0 are needed, got |n| = {np.linalg.norm(n):.4g}, d = {d:g}")
+        spread = numbers(facet.get("covariance"), "covariance", (3, 3))
+        if np.linalg.eigvalsh((spread + spread.T) / 2)[0] < -1e-6 * max(abs(np.trace(spread)), 1e-300):
+            raise BadInput(f"{where}: covariance: has a negative eigenvalue")
+        polygon = numbers(facet.get("polygon"), "polygon", (0, 3))
+        if len(polygon) < 3:
+            raise BadInput(f"{where}: polygon: {len(polygon)} corners instead of at least 3")
+        m.append(n / d), covariance.append((spread + spread.T) / 2), polygons.append(polygon)
+        labels.append([int(facet.get("left_label", 0) or 0), int(facet.get("right_label", 0) or 0)])
+    return SceneFacets(np.array(m, float).reshape(-1, 3), np.array(covariance, float).reshape(-1, 3, 3), polygons,
+                       np.array(labels, int).reshape(-1, 2), content["unit"])
+
+
+# Results.
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """T : (4, 4)                  T_cam_world, metres
+    scale : m per unit of the facets
+    covariance : (6, 6) or (7, 7)   of (omega, tau[, ln scale]): T = exp(omega, tau) T_hat, camera axes, radians and metres
+    matches : (n, 2) int        scene facet, model facet
+    score : evidence in nats: what the matches' chance would have been
+    chi2 : of the matches, 3 for each expected
+    vertex_m : root mean square distance of the outlines' corners to the nearest corner of their facets, metres
+    """
+
+    T: np.ndarray
+    scale: float
+    covariance: np.ndarray
+    matches: np.ndarray
+    score: float
+    chi2: float
+    vertex_m: float
+    linear: np.ndarray = field(default=None, repr=False)      # T after the closed form
+
+
+@dataclass(frozen=True, eq=False)
+class Recognition:
+    """poses : tuple of Pose          best first; those behind the first explain the facets as well ("ambiguous")
+    status : "unique", "ambiguous" or "not recognised"
+    why : str                     in plain words, where it is not recognised
+    weight : (N,)                 evidence in nats of each scene facet
+    counts : dict                 rotations, correspondences, nodes, candidates
+    """
+
+    poses: tuple
+    status: str
+    why: str
+    weight: np.ndarray
+    counts: dict
+
+
+# The model's facets, as the search needs them.
+
+@dataclass(frozen=True, eq=False)
+class Database:
+    """F facets, relative to `centre` (m, world). axes : (F, 3, 3) normal, two in-plane; low, high : (F, 3) extents along them."""
+
+    model: object
+    centre: np.ndarray
+    size: np.ndarray               # (3,) m of the model's box
+    axes: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    corners: list                  # (k, 3) m of each facet's boundary
+    caster: object
+    local: object
+    twosided: np.ndarray           # (F,) bool: its back can be seen
+
+
+def database(model) -> Database:
+    from lib import index_buffer, rays
+
+    used = model.vertices[np.unique(model.triangles)]
+    centre, size = (used.min(axis=0) + used.max(axis=0)) / 2, np.ptp(used, axis=0)
+    p = model.vertices - centre
+    edges = index_buffer.facet_edges(model)
+    of_vertex_pair = {}
+    for facet, t in zip(model.triangle_facet, model.triangles):
+        for a, b in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0])):
+            of_vertex_pair.setdefault((facet, a, b), None)
+    # boundary edges of each facet: those of facet_edges that one of its triangles has
+    longest = np.zeros((model.n_facets, 3))
+    length = np.zeros(model.n_facets)
+    boundary = [[] for _ in range(model.n_facets)]
+    owner = {}
+    for facet, a, b in of_vertex_pair:
+        owner.setdefault((a, b), []).append(facet)
+    for a, b in edges:
+        for facet in owner.get((a, b), ()):
+            boundary[facet] += [a, b]
+            v = p[b] - p[a]
+            s = np.linalg.norm(v)
+            if s > length[facet]:
+                length[facet], longest[facet] = s, v / s
+    axes, low, high, corners = np.zeros((model.n_facets, 3, 3)), np.zeros((model.n_facets, 3)), np.zeros((model.n_facets, 3)), []
+    order = np.argsort(model.triangle_facet, kind="stable")
+    parts = np.split(model.triangles[order], np.flatnonzero(np.diff(model.triangle_facet[order])) + 1)
+    for f, part in enumerate(parts):
+        q = p[np.unique(part)]
+        n = model.facet_normal[f]
+        u = longest[f] - n * (longest[f] @ n)
+        if np.linalg.norm(u) < 0.5:
+            u = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
+        u /= np.linalg.norm(u)
+        axes[f] = n, u, np.cross(n, u)
+        along = q @ axes[f].T
+        low[f], high[f] = along.min(axis=0), along.max(axis=0)
+        low[f, 0] = high[f, 0] = (low[f, 0] + high[f, 0]) / 2
+        corners.append(p[np.unique(boundary[f])] if boundary[f] else q)
+    local = rays.Local.of(model)
+    return Database(model, centre, size, axes, low, high, corners, rays.Caster(local.points(model.corners())), local,
+                    ~model.closed_objects[model.facet_object] | _inward(model))
+
+
+def _inward(model):
+    """(F,) bool: facets of closed objects that face inwards (rooms): seen from outside they show their backs, which costs little to allow."""
+    signed = np.einsum("ij,ij->i", model.corners()[:, 0] - model.vertices.mean(axis=0),
+                       np.cross(model.corners()[:, 1] - model.corners()[:, 0], model.corners()[:, 2] - model.corners()[:, 0]))
+    volume = np.bincount(model.facet_object[model.triangle_facet], signed, len(model.objects))
+    return volume[model.facet_object] < 0
+
+
+# What the search knows of each scene facet.
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Per scene facet, in units of the facets. n : (N, 3); g : (N, 3) middle of the outline; angle : (N,) rad and height : (N,) sigma of the
+    normal and of the plane at g; slide : (N,) sigma of g within the plane; outline : list (k, 3); v : list (k, 3) rays, z = 1, through the region;
+    inverse : list (k,) 1/z there, sigma : list (k,)"""
+
+    n: np.ndarray
+    g: np.ndarray
+    angle: np.ndarray
+    height: np.ndarray
+    slide: np.ndarray
+    extent: np.ndarray
+    outline: list
+    v: list
+    inverse: list
+    sigma: list
+    m: np.ndarray
+    covariance: np.ndarray
+    pivot: np.ndarray
+    radius: float
+
+
+SYSTEMATIC = 0.002        # of 1/z: regions are not exactly what a facet shows; no covariance knows that
+
+
+def _seen(scene, camera, samples=24):
+    import cv2
+
+    n, d = scene.normal, scene.distance
+    covariance = scene.covariance + (SYSTEMATIC / d)[:, None, None] ** 2 * np.eye(3)
+    rays, inverse, sigma, g = [], [], [], []
+    for polygon, m, C in zip(scene.polygons, scene.m, covariance):
+        z = np.maximum(polygon[:, 2], 1e-3 * np.abs(polygon).max())
+        q = polygon[:, :2] / z[:, None]                                        # at z = 1
+        low, high = q.min(axis=0), q.max(axis=0)
+        raster = 40
+        step = max((high - low).max() / raster, 1e-12)
+        mask = np.zeros((raster + 3, raster + 3), np.uint8)
+        cv2.fillPoly(mask, [np.rint(8 * ((q - low) / step + 1)).astype(np.int32)], 1, shift=3)
+        inner = mask
+        for _ in range(3):                                                     # away from the rim, where there is room
+            smaller = cv2.erode(inner, np.ones((3, 3), np.uint8), borderValue=0)
+            if smaller.sum() < samples:
+                break
+            inner = smaller
+        y, x = np.nonzero(inner if inner.any() else mask)
+        if len(x) == 0:
+            x, y = np.array([1.0]), np.array([1.0])
+        keep = np.unique(np.linspace(0, len(x) - 1, samples).astype(int))
+        v = np.column_stack([low[0] + (x[keep] - 1) * step, low[1] + (y[keep] - 1) * step, np.ones(len(keep))])
+        b = v @ m
+        v, b = v[b > 0], b[b > 0]
+        rays.append(v), inverse.append(b)
+        sigma.append(np.sqrt(np.einsum("ij,jk,ik->i", v, C, v)))
+        g.append((v / b[:, None]).mean(axis=0) if len(v) else polygon.mean(axis=0))
+    g = np.array(g).reshape(-1, 3)
+    P = np.eye(3) - n[:, :, None] * n[:, None, :]
+    angle = d * np.sqrt(np.linalg.eigvalsh(P @ covariance @ P)[:, -1]) if len(g) else np.zeros(0)
+    height = d * np.sqrt(np.einsum("ni,nij,nj->n", g, covariance, g))
+    cosine = np.abs(np.einsum("ni,ni->n", n, g)) / np.linalg.norm(g, axis=1)
+    slide = height * np.sqrt(1 - np.minimum(cosine, 1) ** 2) / np.maximum(cosine, 0.05) + 2 * g[:, 2] / camera.K[0, 0]
+    extent = np.zeros((len(g), 2))
+    for i, polygon in enumerate(scene.polygons):
+        u = np.cross(n[i], np.eye(3)[np.argmin(np.abs(n[i]))])
+        u /= np.linalg.norm(u)
+        flat = np.column_stack([polygon @ u, polygon @ np.cross(n[i], u)]).astype(np.float32)
+        extent[i] = sorted(cv2.minAreaRect(flat - flat.mean(axis=0))[1])
+    pivot = np.median(g, axis=0) if len(g) else np.zeros(3)
+    radius = float(np.median(np.linalg.norm(g, axis=1))) if len(g) else 1.0
+    return _Seen(n, g, angle, height, slide, extent, scene.polygons, rays, inverse, sigma, scene.m, covariance, pivot, radius)
+
+
+# Rotations.
+
+def _directions(db, most=60):
+    """(D, 3) distinct directions that facets face, both sides of those that have two, the largest areas first."""
+    area = db.model.facet_area()
+    n = np.concatenate([db.axes[:, 0], -db.axes[db.twosided, 0]])
+    area = np.concatenate([area, area[db.twosided]])
+    found = []
+    for i in np.argsort(-area, kind="stable"):
+        if all(n[i] @ other < math.cos(0.005) for other in found):
+            found.append(n[i])
+            if len(found) == most:
+                break
+    return np.array(found)
+
+
+def _rotations(seen, weight, directions, most=400):
+    """Rotations, world to camera, that bring normals together, by the evidence of the facets they align: (R, sigma rad, bound) each."""
+    from scipy.spatial.transform import Rotation
+
+    N = len(seen.n)
+    cosine = seen.n @ seen.n.T
+    i, j = np.triu_indices(N, 1)
+    tolerance = 3 * np.hypot(seen.angle[i], seen.angle[j]) + 0.005
+    use = (np.abs(cosine[i, j]) < math.cos(0.3)) & (tolerance < 0.35)
+    i, j, tolerance = i[use], j[use], tolerance[use]
+    order = np.argsort(-(np.minimum(weight[i], weight[j]) - 20 * tolerance), kind="stable")[:90]
+    i, j, tolerance = i[order], j[order], tolerance[order]
+    angle = np.arccos(np.clip(cosine[i, j], -1, 1))
+    model_angle = np.arccos(np.clip(directions @ directions.T, -1, 1))
+    parts = []
+    for k in range(len(i)):
+        a, b = np.nonzero(np.abs(model_angle - angle[k]) < tolerance[k])
+        if len(a):
+            parts.append(_frames(seen.n[i[k]], seen.n[j[k]])[None] @ _frames(directions[a], directions[b]).transpose(0, 2, 1))
+    if not parts:
+        return []
+    R = np.concatenate(parts)
+    if len(R) > 60000:
+        R = R[np.linspace(0, len(R) - 1, 60000).astype(int)]
+    gate = np.cos(np.minimum(3 * seen.angle + 0.03, 0.6))
+
+    def support(R):
+        """(len(R), N): the cosine between each normal and the nearest direction."""
+        return np.concatenate([np.einsum("rij,ni->rnj", part, seen.n) @ directions.T for part in np.array_split(R, max(1, len(R) // 2000))]).max(axis=2)
+    score = np.where(support(R) > gate, weight, 0).sum(axis=1)
+    quaternion = Rotation.from_matrix(R).as_quat()
+    order = np.argsort(-score, kind="stable")
+    left = np.ones(len(R), bool)
+    found = []
+    for k in order:
+        if not left[k]:
+            continue
+        left &= np.abs(quaternion @ quaternion[k]) < math.cos(0.04 / 2)
+        refined, sigma = R[k], 0.05
+        for _ in range(4):
+            near = (seen.n @ refined) @ directions.T
+            a = near.argmax(axis=1)
+            fits = near.max(axis=1) > np.cos(np.minimum(3 * np.hypot(seen.angle, sigma) + 0.005, 0.6))
+            if fits.sum() < 2:
+                break
+            w = fits / (seen.angle ** 2 + 1e-6)
+            refined = kabsch(directions[a], seen.n, w)
+            information = (w[:, None, None] * (np.eye(3) - seen.n[:, :, None] * seen.n[:, None, :])).sum(axis=0)
+            values = np.linalg.eigvalsh(information)
+            sigma = 1 / math.sqrt(values[0]) if values[0] > 0 else math.inf
+        if fits.sum() < 2 or not sigma < 0.2:
+            continue
+        if any(np.trace(refined.T @ other[0]) > 1 + 2 * math.cos(0.02) for other in found):
+            continue
+        near = ((seen.n @ refined) @ directions.T).max(axis=1) > np.cos(np.minimum(3.5 * np.hypot(seen.angle, sigma) + 0.01, 0.6))
+        found.append((refined, sigma, float(weight[near].sum())))
+        if len(found) == most:
+            break
+    return sorted(found, key=lambda f: -f[2])
+
+
+def _frames(a, b):
+    """(..., 3, 3): orthonormal frames, as columns, from two directions each, the error of the angle shared between both."""
+    c = np.cross(a, b)
+    c = c / np.linalg.norm(c, axis=-1, keepdims=True)
+    s = a / np.linalg.norm(a, axis=-1, keepdims=True) + b / np.linalg.norm(b, axis=-1, keepdims=True)
+    s = s / np.linalg.norm(s, axis=-1, keepdims=True)
+    return np.stack([s, c, np.cross(s, c)], axis=-1)
+
+
+def kabsch(a, b, weight):
+    """The rotation R (det +1: never a reflection) that minimises sum weight |b - R a|^2; a, b : (n, 3). Kabsch 1976, Horn 1987.
+
+    >>> R = kabsch(np.eye(3), np.eye(3)[[1, 2, 0]], np.ones(3))
+    >>> (R @ np.eye(3)[0]).round(9) + 0.0
+    array([0., 1., 0.])
+    """
+    u, _, vt = np.linalg.svd((weight[:, None] * b).T @ a)
+    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+
+
+# Positions: the deepest point of the boxes.
+
+def _correspondences(seen, db, R, sigma, scale_free, size_ok):
+    """Scene facet on model facet side, at this rotation: arrays for _search.
+
+    One correspondence asks, for each of three axes A of the model facet, that A.c + q P1 >= low and A.c + q P2 <= high:
+    c is the pivot's place in the model, q the scale, P1 and P2 hold the outline's reach and the tolerance.
+    """
+    n_world = seen.n @ R                                                       # rows: R^T n
+    near = n_world @ db.axes[:, 0].T                                            # (N, F)
+    gate = np.cos(np.minimum(3.5 * np.hypot(seen.angle, sigma) + 0.01, 0.6))[:, None]
+    i, f = np.nonzero(((near > gate) | ((near < -gate) & db.twosided)) & size_ok)
+    if len(i) == 0:
+        return None
+    lever = np.linalg.norm(seen.g - seen.pivot, axis=1)
+    tall = 3 * np.hypot(seen.height, sigma * lever)
+    wide = 3 * np.hypot(seen.slide, sigma * lever)
+    A = db.axes[f]
+    P1, P2 = np.zeros((len(i), 3)), np.zeros((len(i), 3))
+    for k in np.unique(i):
+        mine = i == k
+        p = (seen.outline[k] - seen.pivot) @ R
+        along = np.einsum("cad,pd->cap", A[mine][:, 1:], p)
+        reach = along.max(axis=2) - along.min(axis=2)
+        slack = wide[k] + 0.03 * reach
+        P1[mine, 1:], P2[mine, 1:] = along.min(axis=2) + slack, along.max(axis=2) - slack
+        h = A[mine][:, 0] @ ((seen.g[k] - seen.pivot) @ R)
+        P1[mine, 0], P2[mine, 0] = h + tall[k], h - tall[k]
+    low, high = db.low[f], db.high[f]
+    if not scale_free:
+        room = (low - P1 <= high - P2).all(axis=1)
+        i, f, A, P1, P2, low, high = (array[room] for array in (i, f, A, P1, P2, low, high))
+        if len(i) == 0:
+            return None
+    return i.astype(np.int64), f, np.ascontiguousarray(A), P1, P2, low, high
+
+
+@njit(cache=True)
+def _search(scene, A, P1, P2, low, high, weight, c0, e0, q0, eq0, span, resolution, best, margin, most_nodes):
+    """Depth-first branch and bound: places (c, q) where correspondences of much weight hold together.
+
+    Returns places (n, 4), scores (n,), the best score, nodes visited. Everything within `margin` of the best is found, up to
+    64 places further than 4 resolutions apart. Bound of a cell: the weights of the scene facets that some correspondence allows somewhere in it.
+    """
+    C = len(scene)
+    pool = np.empty(64 * C + 1024, np.int64)
+    pool[:C] = np.arange(C)
+    depth = 4096
+    cell, at = np.empty((depth, 8)), np.empty((depth, 2), np.int64)
+    cell[0, :3], cell[0, 3:6], cell[0, 6], cell[0, 7] = c0, e0, q0, eq0
+    at[0, 0], at[0, 1] = 0, C
+    top = 1
+    mark = np.full(len(weight), -1)
+    held = np.full(len(weight), -1)
+    places, scores, count = np.empty((64, 4)), np.empty(64), 0
+    nodes = 0
+    while top > 0 and nodes < most_nodes:
+        top -= 1
+        c, e, q, eq = cell[top, :3].copy(), cell[top, 3:6].copy(), cell[top, 6], cell[top, 7]
+        start, length = at[top, 0], at[top, 1]
+        nodes += 1
+        end = start + length
+        if end + length > len(pool):
+            bigger = np.empty(2 * (end + length), np.int64)
+            bigger[:end] = pool[:end]
+            pool = bigger
+        bound, sure, n, loose = 0.0, 0.0, 0, 0
+        for s in range(start, end):
+            k = pool[s]
+            possible, certain = True, True
+            for a in range(3):
+                x = A[k, a, 0] * c[0] + A[k, a, 1] * c[1] + A[k, a, 2] * c[2]
+                r = abs(A[k, a, 0]) * e[0] + abs(A[k, a, 1]) * e[1] + abs(A[k, a, 2]) * e[2]
+                first, second = x + q * P1[k, a] - low[k, a], high[k, a] - x - q * P2[k, a]
+                r1, r2 = r + eq * abs(P1[k, a]), r + eq * abs(P2[k, a])
+                if first + r1 < 0 or second + r2 < 0:
+                    possible = False
+                    break
+                if first < r1 or second < r2:
+                    certain = False
+            if possible:
+                pool[end + n] = k
+                n += 1
+                i = scene[k]
+                if mark[i] != nodes:
+                    mark[i] = nodes
+                    bound += weight[i]
+                if certain:
+                    if held[i] != nodes:
+                        held[i] = nodes
+                        sure += weight[i]
+                else:
+                    loose += 1
+        if bound < best - margin or bound <= 0:
+            continue
+        widest, axis = eq * span, 3
+        for a in range(3):
+            if e[a] > widest:
+                widest, axis = e[a], a
+        if widest < resolution or sure >= bound - 1e-9:
+            # the score at the middle of the cell, boxes wider by the cell
+            if sure > best:
+                best = sure
+            value = bound if widest < resolution else sure
+            new = True
+            for s in range(count):
+                gap = max(abs(places[s, 0] - c[0]), abs(places[s, 1] - c[1]), abs(places[s, 2] - c[2]), abs(places[s, 3] - q) * span)
+                if gap < 4 * resolution + 2 * widest:
+                    new = False
+                    if value > scores[s]:
+                        scores[s] = value
+                        places[s, :3], places[s, 3] = c, q
+                    break
+            if new:
+                s = count
+                if count == 64:
+                    s = np.argmin(scores)
+                    if scores[s] >= value:
+                        continue
+                else:
+                    count += 1
+                scores[s] = value
+                places[s, :3], places[s, 3] = c, q
+            continue
+        if top + 2 > depth:
+            continue
+        for side in (-1, 1):
+            cell[top, :3], cell[top, 3:6], cell[top, 6], cell[top, 7] = c, e, q, eq
+            if axis == 3:
+                cell[top, 7] = eq / 2
+                cell[top, 6] = q + side * eq / 2
+            else:
+                cell[top, 3 + axis] = e[axis] / 2
+                cell[top, axis] = c[axis] + side * e[axis] / 2
+            at[top, 0], at[top, 1] = end, n
+            top += 1
+    return places[:count], scores[:count], best, nodes
+
+
+# From a place to a pose.
+
+def closed_form(m, covariance, n_world, offset, g, scale_free=False):
+    """Pose from planes in closed form: (T_cam_world, scale). The paper's linear step.
+
+    m, covariance, g : of the scene's planes and a point on each;  n_world, offset : of the model's, facing the camera.
+    Rotation by Kabsch on the normals, then translation (and scale) by weighted linear least squares on
+    the points' heights: n . (q R^T g + c) = offset, c the camera's centre.
+    """
+    d = 1 / np.linalg.norm(m, axis=1)
+    n = -m * d[:, None]
+    P = np.eye(3) - n[:, :, None] * n[:, None, :]
+    angle2 = d ** 2 * np.linalg.eigvalsh(P @ covariance @ P)[:, -1]
+    R = kabsch(n_world, n, 1 / angle2)
+    height = d * np.sqrt(np.einsum("ni,nij,nj->n", g, covariance, g))
+    M = np.column_stack([n_world, np.einsum("ni,ni->n", n_world, g @ R)]) / height[:, None]
+    if scale_free:
+        x = np.linalg.lstsq(M, offset / height, rcond=1e-9)[0]
+        c, q = x[:3], float(x[3])
+    else:
+        c, q = np.linalg.lstsq(M[:, :3], offset / height - M[:, 3], rcond=1e-9)[0], 1.0
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, -R @ c
+    return T, q
+
+
+def _fit(seen, db, T, q, scene_idx, facet_idx, scale_free, iterations=8):
+    """Gauss-Newton on the planes' m = n q / d under their covariances: T, q, information (6, 6) or (7, 7), chi2 per match."""
+    n_w, o = db.axes[facet_idx, 0], db.low[facet_idx, 0]
+    L = np.linalg.inv(np.linalg.cholesky(seen.covariance[scene_idx]))
+    m = seen.m[scene_idx]
+    size = 7 if scale_free else 6
+
+    def residual(T, q):
+        n = n_w @ T[:3, :3].T
+        d = o + n @ T[:3, 3]
+        d = np.where(np.abs(d) < 1e-9, 1e-9, d)
+        return n, d, np.einsum("nij,nj->ni", L, m - n * (q / d)[:, None])
+    n, d, r = residual(T, q)
+    damping = 0.0
+    for _ in range(iterations):
+        J = np.zeros((len(m), 3, size))
+        p = n * (q / d)[:, None]
+        for k in range(3):
+            w = np.zeros(3)
+            w[k] = 1
+            J[:, :, k] = -np.cross(w, n) * (q / d)[:, None]
+            J[:, :, 3 + k] = p * (n[:, k] / d)[:, None]
+        if scale_free:
+            J[:, :, 6] = -p
+        J = np.einsum("nij,njk->nik", L, J).reshape(-1, size)
+        H, b = J.T @ J, J.T @ r.ravel()
+        step = -np.linalg.lstsq(H + damping * np.diag(np.diag(H)), b, rcond=1e-12)[0]
+        if not np.isfinite(step).all():
+            break
+        T_new, q_new = moved(T, step), q * math.exp(min(max(step[6], -1), 1)) if scale_free else q
+        n_new, d_new, r_new = residual(T_new, q_new)
+        if (r_new ** 2).sum() > (r ** 2).sum():
+            damping = max(10 * damping, 1e-3)
+            continue
+        small = (r ** 2).sum() - (r_new ** 2).sum() < 1e-6 * max((r ** 2).sum(), 1e-12)
+        T, q, n, d, r, damping = T_new, q_new, n_new, d_new, r_new, damping / 10
+        if small:
+            break
+    return T, q, H, (r ** 2).sum(axis=1)
+
+
+def moved(T, step):
+    """exp(omega, tau) T: a pose turned by omega (rad) about the camera's axes, then moved by tau (m) along them."""
+    from lib.cameras import matrix_from_rt
+
+    return matrix_from_rt(np.asarray(step[:6], float)) @ T
+
+
+def _explained(seen, db, T, q, share=0.55):
+    """What the camera would see: (matches (n, 2), fraction (N,)).
+
+    A scene facet is explained where the rays through its region meet the model at the depth that its plane has, within
+    3.5 sigma; the facet met most often is its match.
+    """
+    R, centre = T[:3, :3], -T[:3, :3].T @ T[:3, 3]
+    count = np.array([len(v) for v in seen.v])
+    if count.sum() == 0:
+        return np.zeros((0, 2), int), np.zeros(len(count))
+    v = np.concatenate(seen.v)
+    v_world = v @ R
+    length = np.linalg.norm(v_world, axis=1)
+    rays = np.empty((len(v), 6), np.float32)
+    rays[:, :3] = (centre + db.centre - db.local.centre) / db.local.diagonal
+    rays[:, 3:] = v_world / length[:, None]
+    triangle, distance = db.caster.closest(rays)
+    hit = triangle >= 0
+    facet = np.where(hit, db.model.triangle_facet[triangle], -1)
+    inverse = np.where(hit, length / np.maximum(np.where(hit, distance, 1) * db.local.diagonal, 1e-12), 0) * q     # 1/z in units of the facets
+    expected, sigma = np.concatenate(seen.inverse), np.concatenate(seen.sigma)
+    turned = np.einsum("ij,ij->i", db.axes[facet, 0], v_world) < 0
+    normal = seen.n[np.repeat(np.arange(len(count)), count)] @ R
+    aligned = np.abs(np.einsum("ij,ij->i", db.axes[facet, 0], normal)) > np.cos(np.minimum(3.5 * seen.angle + 0.02, 0.7))[np.repeat(np.arange(len(count)), count)]
+    good = hit & (np.abs(inverse - expected) < 3.5 * sigma + 0.002 * expected) & (turned | db.twosided[facet]) & aligned
+    owner = np.repeat(np.arange(len(count)), count)
+    fraction = np.bincount(owner, good, len(count)) / np.maximum(count, 1)
+    matches = []
+    for i in np.flatnonzero(fraction >= share):
+        matches.append((i, np.bincount(facet[(owner == i) & good]).argmax()))
+    return np.array(matches, int).reshape(-1, 2), fraction
+
+
+def _facing(db, T, facets):
+    """+1 where the front faces the camera at T, else -1: (n,)."""
+    centre = -T[:3, :3].T @ T[:3, 3]
+    return np.where(db.low[facets, 0] - db.axes[facets, 0] @ centre < 0, 1.0, -1.0)
+
+
+def _polish(seen, db, weight, T, q, pairs, scale_free):
+    """From a candidate to a Pose (in coordinates about db.centre), or None."""
+    facets = pairs[:, 1]
+    turn = _facing(db, T, facets)
+    linear, q_linear = closed_form(seen.m[pairs[:, 0]], seen.covariance[pairs[:, 0]], turn[:, None] * db.axes[facets, 0], turn * db.low[facets, 0],
+                                   seen.g[pairs[:, 0]], scale_free)
+    if not (np.isfinite(linear).all() and q_linear > 0):
+        return None
+    # The closed form is the start unless it is worse posed than the search's own place (two facets, say).
+    T, q = (linear, q_linear) if _well_posed(db, pairs) else (T, q)
+    H, chi2 = None, None
+    for _ in range(3):
+        T, q, H, chi2 = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
+        matches, fraction = _explained(seen, db, T, q)
+        if len(matches) < 2:
+            return None
+        same = len(matches) == len(pairs) and (matches == pairs).all()
+        pairs = matches
+        if same:
+            break
+    T, q, H, chi2 = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
+    good = chi2 < GATE
+    if good.sum() < 2:
+        return None
+    if not good.all():
+        pairs = pairs[good]
+        T, q, H, chi2 = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
+        fraction = _explained(seen, db, T, q)[1]
+        keep = (chi2 < GATE) & (fraction[pairs[:, 0]] >= 0.5)
+        pairs, chi2 = pairs[keep], chi2[keep]
+        if len(pairs) < 2:
+            return None
+    evidence = weight[pairs[:, 0]] * np.minimum(1, fraction[pairs[:, 0]] / 0.9) - np.maximum(chi2 - 3, 0) / 2
+    distance = [_corner_distance(seen.outline[i], db.corners[f], T, q) for i, f in pairs]
+    return Pose(T, q, H, pairs, float(np.maximum(evidence, 0).sum()), float(chi2.sum()), float(np.sqrt(np.mean(np.square(distance)))), linear)
+
+
+def _well_posed(db, pairs):
+    return np.linalg.svd(db.axes[pairs[:, 1], 0], compute_uv=False)[-1] > 0.1 if len(pairs) >= 3 else False
+
+
+def _corner_distance(outline, corners, T, q):
+    p = corners @ T[:3, :3].T + T[:3, 3]
+    gap = np.linalg.norm(q * outline[:, None] - p[None], axis=2)
+    return np.sqrt(np.mean(np.minimum(gap.min(axis=1), np.ptp(p, axis=0).max()) ** 2))
+
+
+# The whole.
+
+def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
+    """The displacements of the model that explain the facets, best first.
+
+    camera : gives the focal length (what a pixel is worth), no more
+    certain : nats; a pose whose evidence falls short of the best's by less is another answer
+
+    "not recognised": fewer than 3 facets that fix six degrees of freedom (seven with the scale), or nothing that
+    explains enough of them.
+    """
+    scale_free = scene.unit == "baseline"
+    db = db or database(model)
+    counts = {"facets": len(scene), "rotations": 0, "correspondences": 0, "nodes": 0, "candidates": 0}
+    nothing = lambda why: Recognition((), "not recognised", why, np.zeros(len(scene)), counts)
+    if len(scene) < 3:
+        return nothing(f"{len(scene)} facets cannot fix a pose: at least 3 are needed")
+    seen = _seen(scene, camera)
+    rank = np.linalg.svd(seen.n, compute_uv=False)
+    if rank[-1] < 0.05 * rank[0]:
+        return nothing(f"the {len(scene)} facets face less than 3 independent directions: the pose can slide")
+    weight, size_ok = _weights(seen, db, scale_free)
+    directions = _directions(db)
+    rotations = _rotations(seen, weight, directions)
+    counts["rotations"] = len(rotations)
+    extent = float(np.linalg.norm(db.size))
+    margin = certain + 2.0
+    # the scale: the scene is at most as large as the model, at least a hundredth of it
+    spread = max(float(np.linalg.norm(seen.g - seen.pivot, axis=1).max()), 1e-12)
+    q_low, q_high = (0.01 * extent / spread, extent / spread) if scale_free else (1.0, 1.0)
+    found, best = [], 0.0
+    for R, sigma, bound in rotations:
+        if bound < best - margin:
+            break
+        made = _correspondences(seen, db, R, sigma, scale_free, size_ok)
+        if made is None:
+            continue
+        i, f, A, P1, P2, low, high = made
+        counts["correspondences"] += len(i)
+        q, eq = (q_low + q_high) / 2, (q_high - q_low) / 2
+        tolerance = np.median(P1[:, 0] - P2[:, 0]) / 2 * (q if not scale_free else math.sqrt(q_low * q_high))
+        places, scores, best, nodes = _search(i, A, P1, P2, low, high, weight, np.zeros(3), db.size / 2 + 0.25 * extent, q, eq, spread,
+                                              max(0.4 * tolerance, 1e-6 * extent), best, margin, 400_000)
+        counts["nodes"] += nodes
+        for place, score in zip(places, scores):
+            found.append((score, R, place, made))
+    found = sorted((x for x in found if x[0] >= best - margin), key=lambda x: -x[0])[:150]
+    counts["candidates"] = len(found)
+    poses = []
+    for score, R, place, (i, f, A, P1, P2, low, high) in found:
+        q = place[3]
+        x = np.einsum("cad,d->ca", A, place[:3])
+        slack = 0.4 * (P1[:, :1] - P2[:, :1]).clip(0) * q
+        holds = ((x + q * P1 - low >= -slack) & (high - x - q * P2 >= -slack)).all(axis=1)
+        gap = np.abs(x[:, 0] + q * (P1[:, 0] + P2[:, 0]) / 2 - low[:, 0])
+        pairs = {}
+        for k in np.flatnonzero(holds):
+            if i[k] not in pairs or gap[k] < gap[pairs[i[k]]]:
+                pairs[i[k]] = k
+        if len(pairs) < 3:
+            continue
+        pairs = np.array([(s, f[k]) for s, k in sorted(pairs.items())])
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R, q * seen.pivot - R @ place[:3]
+        pose = _polish(seen, db, weight, T, q, pairs, scale_free)
+        if pose is not None and not any(_same(pose, other, seen) and other.score >= pose.score for other in poses):
+            poses = [other for other in poses if not _same(pose, other, seen)] + [pose]
+    return _judge(seen, db, weight, poses, certain, scale_free, counts)
+
+
+def _weights(seen, db, scale_free):
+    """Evidence of each scene facet in nats, and which model facets are large enough for it (N, F).
+
+    -ln of the chance that a displacement drawn at random (its rotation right) explains the facet: the share of the model's box
+    that its boxes fill. Facets in one plane share one evidence.
+    """
+    extent = np.sort(db.high[:, 1:] - db.low[:, 1:], axis=1)                     # (F, 2) short, long
+    spread = max(float(np.linalg.norm(seen.g - seen.pivot, axis=1).max()), 1e-12)
+    q = 0.3 * np.linalg.norm(db.size) / spread if scale_free else 1.0
+    slack = 3 * seen.slide[:, None] + 0.06 * seen.extent
+    diagonal = np.linalg.norm(extent, axis=1)
+    need = np.maximum(seen.extent - 2 * slack, 0)
+    size_ok = np.ones((len(seen.n), len(extent)), bool)
+    if not scale_free:
+        size_ok = (need[:, None, 1] <= diagonal) & (need[:, None, 0] <= extent[None, :, 0] * 1.42)
+    # the box of facet f for scene facet i: thin, and as wide as the outline may slide
+    wide = np.maximum(extent[None] - q * need[:, None], 0) + q * 2 * slack[:, None]
+    volume = 2 * 3 * q * seen.height[:, None] * wide.prod(axis=2)
+    share = np.where(size_ok, volume, 0).sum(axis=1) / np.prod(np.maximum(db.size, 0.05 * db.size.max())) / 3
+    weight = np.clip(-np.log(np.maximum(share, 1e-12)), 0.3, 8.0)
+    height = np.abs(np.einsum("ni,mi->nm", seen.m, seen.g) - 1) / np.sqrt(np.einsum("mi,nij,mj->nm", seen.g, seen.covariance, seen.g))
+    coplanar = (height < 3) & (height.T < 3) & (seen.n @ seen.n.T > 0.99)
+    return weight / np.sqrt(np.maximum(coplanar.sum(axis=1), 1)), size_ok
+
+
+def _same(a, b, seen):
+    """Do two poses put the scene at the same place?"""
+    turn = np.linalg.norm(a.T[:3, :3] - b.T[:3, :3]) / math.sqrt(2)
+    ca, cb = (p.T[:3, :3].T @ (p.scale * seen.pivot - p.T[:3, 3]) for p in (a, b))
+    reach = DISTINCT * seen.radius * max(a.scale, b.scale)
+    return turn < DISTINCT_RAD and np.linalg.norm(ca - cb) < reach and abs(math.log(a.scale / b.scale)) < DISTINCT
+
+
+def _judge(seen, db, weight, poses, certain, scale_free, counts):
+    """Order, status, covariances, and back to the model's own frame."""
+    if not poses:
+        return Recognition((), "not recognised", "no displacement of the model explains three of the facets", weight, counts)
+    # Ties within the evidence's resolution go to the least mean square error between corners (the paper's rule).
+    poses = sorted(poses, key=lambda p: (-round(p.score, 1), p.vertex_m))
+    best = poses[0]
+    size = 7 if scale_free else 6
+    values = np.linalg.eigvalsh(best.covariance / _unit(seen, best.scale, size))
+    if len(best.matches) < 3 or values[0] < 1 / 0.15 ** 2:
+        planes = _distinct_planes(db, best.matches[:, 1])
+        return Recognition((), "not recognised", f"only {planes} distinct planes explain {len(best.matches)} of {len(weight)} facets: the pose cannot be known", weight, counts)
+    rivals = [p for p in poses[1:] if p.score > best.score - certain]
+    final = []
+    for p in (best, *rivals):
+        values = np.linalg.eigvalsh(p.covariance / _unit(seen, p.scale, size))
+        if values[0] <= 1e-9:
+            continue
+        T = p.T.copy()
+        T[:3, 3] = p.T[:3, 3] - p.T[:3, :3] @ db.centre
+        linear = p.linear.copy()
+        linear[:3, 3] = linear[:3, 3] - linear[:3, :3] @ db.centre
+        final.append(replace(p, T=T, covariance=np.linalg.inv(p.covariance), linear=linear))
+    return Recognition(tuple(final), "ambiguous" if len(final) > 1 else "unique", "", weight, counts)
+
+
+def _unit(seen, scale, size):
+    """Outer product that makes an information matrix dimensionless: radians, and translations as parts of the scene's depth."""
+    u = np.ones(size)
+    u[3:6] = 1 / (seen.radius * scale)
+    return np.outer(u, u)
+
+
+def _distinct_planes(db, facets):
+    planes = []
+    for f in facets:
+        if not any(abs(db.axes[f, 0] @ db.axes[g, 0]) > 0.999 and abs(db.low[f, 0] - np.sign(db.axes[f, 0] @ db.axes[g, 0]) * db.low[g, 0]) < 0.01 for g in planes):
+            planes.append(f)
+    return len(planes)
+
+
+def warm_up():
+    """Compiles, or reads from the cache, what is compiled."""
+    one = np.zeros((1, 3))
+    _search(np.zeros(1, np.int64), np.eye(3)[None], one - 1, one + 1, one - 1, one + 1, np.ones(1), np.zeros(3), np.ones(3), 1.0, 0.0, 1.0, 0.5, 0.0, 1.0, 100)

@@ -1,0 +1,80 @@
+#!/usr/bin/env python3
+"""§2.4 Recognition: which part of the model the facets show, from where; then the pose refined on the edges of both photographs.
+
+    $ stages/recognise.py --facets facets.json --model model.obj --photograph left.png --photograph-right right.png \
+          --regions left.regions.png --regions-right right.regions.png --camera left.cameramodel --camera-right right.cameramodel \
+          --posed left.posed.cameramodel --posed-right right.posed.cameramodel --pose pose.json --report recognise.report.json
+
+reads   facets, model; photographs, their regions and their pinhole cameras in the pair's frame
+        orientation      the pair has no scale: the model gives it
+writes  posed, posed-right   the cameras in the model's frame
+        pose            rt_cam_world, its covariance (6, 6) of (omega, tau): T = exp(omega, tau) T_hat along the left camera's axes, rad and m;
+                        matches, trace, ambiguous
+"""
+import argparse
+import sys
+from pathlib import Path
+
+sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
+from lib import stage
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in ("facets", "model", "photograph", "photograph-right", "regions", "regions-right", "camera", "camera-right", "posed", "posed-right", "pose"):
+        parser.add_argument(f"--{name}", required=True)
+    for name in ("orientation", "report"):
+        parser.add_argument(f"--{name}")
+    parser.add_argument("--method", choices=("edges", "paper"), default="edges", help="of the refinement: edges at sub-pixel by a trust region, or the paper's gradient on vertices")
+    return parser
+
+
+def main(opt):
+    from lib.report import Report
+
+    inputs = [opt.facets, opt.model, opt.photograph, opt.photograph_right, opt.regions, opt.regions_right, opt.camera, opt.camera_right, opt.orientation]
+    with Report(opt.report, inputs=inputs, arguments=vars(opt)) as report:
+        with report.excluded("imports"):
+            import numpy as np
+            import cv2, open3d                                      # noqa: F401, E401  where lib/ imports late
+            from lib import artefact, cameras, image, model as models, recognition, refinement
+        with report.excluded("compile"):
+            recognition.warm_up()
+        with report.timing("read"):
+            model = models.load(opt.model)
+            scene = recognition.read_facets(opt.facets)
+            sides = [refinement.Side(cameras.read_cameramodel(camera), image.read_photograph(photograph), image.read_labels(regions))
+                     for camera, photograph, regions in ((opt.camera, opt.photograph, opt.regions), (opt.camera_right, opt.photograph_right, opt.regions_right))]
+        for side, names in zip(sides, ((opt.photograph, opt.regions, opt.camera), (opt.photograph_right, opt.regions_right, opt.camera_right))):
+            for path, shape in zip(names, (side.photograph.values.shape, side.regions.shape)):
+                if shape[:2] != (side.camera.height, side.camera.width):
+                    raise stage.BadInput(f"{path}: size: {shape[1]} x {shape[0]} is not the camera's {side.camera.width} x {side.camera.height} ({names[2]})")
+        if (scene.unit == "baseline") != bool(opt.orientation):
+            raise stage.BadInput(f"{opt.facets}: unit: {scene.unit!r}, but an orientation is {'given' if opt.orientation else 'missing'}: the cameras and the facets disagree about the scale")
+
+        with report.timing("recognise"):
+            found = recognition.recognise(scene, model, sides[0].camera)
+        report["search"] = found.counts
+        if found.status == "not recognised":
+            raise stage.BadInput(f"{opt.facets}: facets: {found.why}")
+        with report.timing("refine"):
+            result = refinement.refine(model, sides, found, method=opt.method)
+        for step in result.trace:
+            report.trace(**{k: v for k, v in step.items() if k != "rt_cam_world"})
+        report.error("edges", result.rms_px, unit="px", against="sub-pixel edges of the photographs")
+        report.status = result.status
+        if result.status == "ambiguous":
+            report.warning(f"{opt.model}: {len(result.ambiguous)} other poses explain the facets as well: see ambiguous in {opt.pose}")
+        pair = [cameras.rt_from_matrix(camera.T_cam_world) for camera in result.cameras]
+        with artefact.writing_all(opt.posed, opt.posed_right, opt.pose) as partials:
+            for partial, camera in zip(partials, result.cameras):
+                cameras.write_cameramodel(partial, camera)
+            artefact.write_json(partials[2], {
+                "status": result.status, "rt_cam_world": pair[0], "scale": result.scale if scene.unit == "baseline" else None,
+                "covariance": result.covariance, "perturbation": "T = exp(omega, tau) T_hat, left camera's axes, rad and m",
+                "matches": [{"left_label": int(scene.labels[i, 0]), "facet": int(f)} for i, f in found.poses[result.chosen].matches],
+                "trace": result.trace, "ambiguous": result.ambiguous})
+
+
+if __name__ == "__main__":
+    stage.run(main, options())
