@@ -297,46 +297,42 @@ def _directions(db, most=60):
     return np.array(found)
 
 
-def _rotations(seen, weight, directions, most=400):
-    """Rotations, world to camera, that bring normals together, by the evidence of the facets they align: (R, sigma rad, bound) each."""
+def _rotations(seen, directions, most=200, tried=20000):
+    """Rotations, world to camera, that bring normals together: (R, sigma rad, evidence) each, the most evidence first.
+
+    The evidence of a normal that meets one of the model's directions is -ln of the chance that any normal does.
+    """
     from scipy.spatial.transform import Rotation
 
-    N = len(seen.n)
-    cosine = seen.n @ seen.n.T
-    i, j = np.triu_indices(N, 1)
+    gate = np.minimum(3 * seen.angle + 0.03, 0.6)
+    evidence = np.maximum(-np.log(len(directions) * (1 - np.cos(gate)) / 2), 0)
+    i, j = np.triu_indices(len(seen.n), 1)
+    cosine = np.einsum("ij,ij->i", seen.n[i], seen.n[j])
     tolerance = 3 * np.hypot(seen.angle[i], seen.angle[j]) + 0.005
-    use = (np.abs(cosine[i, j]) < math.cos(0.3)) & (tolerance < 0.35)
-    i, j, tolerance = i[use], j[use], tolerance[use]
-    order = np.argsort(-(np.minimum(weight[i], weight[j]) - 20 * tolerance), kind="stable")[:90]
-    i, j, tolerance = i[order], j[order], tolerance[order]
-    angle = np.arccos(np.clip(cosine[i, j], -1, 1))
+    use = (np.abs(cosine) < math.cos(0.3)) & (tolerance < 0.35)
+    i, j, cosine, tolerance = i[use], j[use], cosine[use], tolerance[use]
     model_angle = np.arccos(np.clip(directions @ directions.T, -1, 1))
-    parts = []
-    for k in range(len(i)):
-        a, b = np.nonzero(np.abs(model_angle - angle[k]) < tolerance[k])
+    parts, number = [], 0
+    for k in np.argsort(tolerance, kind="stable"):
+        a, b = np.nonzero(np.abs(model_angle - math.acos(cosine[k])) < tolerance[k])
         if len(a):
             parts.append(_frames(seen.n[i[k]], seen.n[j[k]])[None] @ _frames(directions[a], directions[b]).transpose(0, 2, 1))
+            number += len(a)
+            if number > tried:
+                break
     if not parts:
         return []
     R = np.concatenate(parts)
-    if len(R) > 60000:
-        R = R[np.linspace(0, len(R) - 1, 60000).astype(int)]
-    gate = np.cos(np.minimum(3 * seen.angle + 0.03, 0.6))
-
-    def support(R):
-        """(len(R), N): the cosine between each normal and the nearest direction."""
-        return np.concatenate([np.einsum("rij,ni->rnj", part, seen.n) @ directions.T for part in np.array_split(R, max(1, len(R) // 2000))]).max(axis=2)
-    score = np.where(support(R) > gate, weight, 0).sum(axis=1)
+    score = _support(np.ascontiguousarray(R), seen.n, directions, np.cos(gate), evidence)
     quaternion = Rotation.from_matrix(R).as_quat()
-    order = np.argsort(-score, kind="stable")
     left = np.ones(len(R), bool)
-    found = []
-    for k in order:
+    found, kept = [], np.zeros((0, 3, 3))
+    for k in np.argsort(-score, kind="stable"):
         if not left[k]:
             continue
         left &= np.abs(quaternion @ quaternion[k]) < math.cos(0.04 / 2)
-        refined, sigma = R[k], 0.05
-        for _ in range(4):
+        refined, sigma = R[k], 0.03
+        for _ in range(3):
             near = (seen.n @ refined) @ directions.T
             a = near.argmax(axis=1)
             fits = near.max(axis=1) > np.cos(np.minimum(3 * np.hypot(seen.angle, sigma) + 0.005, 0.6))
@@ -344,18 +340,33 @@ def _rotations(seen, weight, directions, most=400):
                 break
             w = fits / (seen.angle ** 2 + 1e-6)
             refined = kabsch(directions[a], seen.n, w)
-            information = (w[:, None, None] * (np.eye(3) - seen.n[:, :, None] * seen.n[:, None, :])).sum(axis=0)
-            values = np.linalg.eigvalsh(information)
+            values = np.linalg.eigvalsh(w.sum() * np.eye(3) - (w[:, None] * seen.n).T @ seen.n)
             sigma = 1 / math.sqrt(values[0]) if values[0] > 0 else math.inf
         if fits.sum() < 2 or not sigma < 0.2:
             continue
-        if any(np.trace(refined.T @ other[0]) > 1 + 2 * math.cos(0.02) for other in found):
+        if (np.einsum("ij,kij->k", refined, kept) > 1 + 2 * math.cos(0.02)).any():
             continue
-        near = ((seen.n @ refined) @ directions.T).max(axis=1) > np.cos(np.minimum(3.5 * np.hypot(seen.angle, sigma) + 0.01, 0.6))
-        found.append((refined, sigma, float(weight[near].sum())))
+        kept = np.concatenate([kept, refined[None]])
+        found.append((refined, sigma, float(evidence[fits].sum())))
         if len(found) == most:
             break
     return sorted(found, key=lambda f: -f[2])
+
+
+@njit(cache=True)
+def _support(R, n, directions, gate, evidence):
+    """(len(R),): the evidence of the normals n (N, 3) that a rotation brings within their gates (cosines) of a direction."""
+    score = np.zeros(len(R))
+    for k in range(len(R)):
+        for i in range(len(n)):
+            x = R[k, 0, 0] * n[i, 0] + R[k, 1, 0] * n[i, 1] + R[k, 2, 0] * n[i, 2]
+            y = R[k, 0, 1] * n[i, 0] + R[k, 1, 1] * n[i, 1] + R[k, 2, 1] * n[i, 2]
+            z = R[k, 0, 2] * n[i, 0] + R[k, 1, 2] * n[i, 1] + R[k, 2, 2] * n[i, 2]
+            for d in range(len(directions)):
+                if x * directions[d, 0] + y * directions[d, 1] + z * directions[d, 2] > gate[i]:
+                    score[k] += evidence[i]
+                    break
+    return score
 
 
 def _frames(a, b):
@@ -417,104 +428,125 @@ def _correspondences(seen, db, R, sigma, scale_free, size_ok):
 
 @njit(cache=True)
 def _search(scene, A, P1, P2, low, high, weight, c0, e0, q0, eq0, span, resolution, best, margin, most_nodes):
-    """Depth-first branch and bound: places (c, q) where correspondences of much weight hold together.
+    """Depth-first branch and bound, the better half first: places (c, q) where correspondences of much weight hold together.
 
     Returns places (n, 4), scores (n,), the best score, nodes visited. Everything within `margin` of the best is found, up to
     64 places further than 4 resolutions apart. Bound of a cell: the weights of the scene facets that some correspondence allows somewhere in it.
     """
-    C = len(scene)
+    C, depth = len(scene), 512
     pool = np.empty(64 * C + 1024, np.int64)
     pool[:C] = np.arange(C)
-    depth = 4096
-    cell, at = np.empty((depth, 8)), np.empty((depth, 2), np.int64)
+    cell, at, bounds = np.empty((depth, 8)), np.empty((depth, 2), np.int64), np.empty((depth, 2))
     cell[0, :3], cell[0, 3:6], cell[0, 6], cell[0, 7] = c0, e0, q0, eq0
+    marks = np.full((3, len(weight)), -1)
     at[0, 0], at[0, 1] = 0, C
-    top = 1
-    mark = np.full(len(weight), -1)
-    held = np.full(len(weight), -1)
-    places, scores, count = np.empty((64, 4)), np.empty(64), 0
-    nodes = 0
+    bounds[0] = np.inf, 0.0
+    top, nodes, count = 1, 0, 0
+    places, scores = np.empty((64, 4)), np.empty(64)
     while top > 0 and nodes < most_nodes:
         top -= 1
-        c, e, q, eq = cell[top, :3].copy(), cell[top, 3:6].copy(), cell[top, 6], cell[top, 7]
-        start, length = at[top, 0], at[top, 1]
-        nodes += 1
-        end = start + length
-        if end + length > len(pool):
-            bigger = np.empty(2 * (end + length), np.int64)
-            bigger[:end] = pool[:end]
-            pool = bigger
-        bound, sure, n, loose = 0.0, 0.0, 0, 0
-        for s in range(start, end):
-            k = pool[s]
-            possible, certain = True, True
-            for a in range(3):
-                x = A[k, a, 0] * c[0] + A[k, a, 1] * c[1] + A[k, a, 2] * c[2]
-                r = abs(A[k, a, 0]) * e[0] + abs(A[k, a, 1]) * e[1] + abs(A[k, a, 2]) * e[2]
-                first, second = x + q * P1[k, a] - low[k, a], high[k, a] - x - q * P2[k, a]
-                r1, r2 = r + eq * abs(P1[k, a]), r + eq * abs(P2[k, a])
-                if first + r1 < 0 or second + r2 < 0:
-                    possible = False
-                    break
-                if first < r1 or second < r2:
-                    certain = False
-            if possible:
-                pool[end + n] = k
-                n += 1
-                i = scene[k]
-                if mark[i] != nodes:
-                    mark[i] = nodes
-                    bound += weight[i]
-                if certain:
-                    if held[i] != nodes:
-                        held[i] = nodes
-                        sure += weight[i]
-                else:
-                    loose += 1
-        if bound < best - margin or bound <= 0:
+        if bounds[top, 0] < best - margin:
             continue
+        nodes += 1
+        c, e, q, eq = cell[top, :3].copy(), cell[top, 3:6].copy(), cell[top, 6], cell[top, 7]
+        bound, sure, start, length = bounds[top, 0], bounds[top, 1], at[top, 0], at[top, 1]
         widest, axis = eq * span, 3
         for a in range(3):
             if e[a] > widest:
                 widest, axis = e[a], a
-        if widest < resolution or sure >= bound - 1e-9:
-            # the score at the middle of the cell, boxes wider by the cell
-            if sure > best:
-                best = sure
-            value = bound if widest < resolution else sure
-            new = True
-            for s in range(count):
+        if widest < resolution or sure >= bound - 1e-9 or top + 2 > depth:
+            s, new = 0, True
+            while s < count and new:
                 gap = max(abs(places[s, 0] - c[0]), abs(places[s, 1] - c[1]), abs(places[s, 2] - c[2]), abs(places[s, 3] - q) * span)
-                if gap < 4 * resolution + 2 * widest:
-                    new = False
-                    if value > scores[s]:
-                        scores[s] = value
-                        places[s, :3], places[s, 3] = c, q
-                    break
-            if new:
+                new = gap >= 4 * resolution + 2 * widest
+                s += 1
+            if not new:
+                s -= 1
+            elif count < 64:
                 s = count
-                if count == 64:
-                    s = np.argmin(scores)
-                    if scores[s] >= value:
-                        continue
-                else:
-                    count += 1
-                scores[s] = value
+                count += 1
+                scores[s] = 0.0
+            else:
+                s = np.argmin(scores)
+            if bound > scores[s]:
+                scores[s] = bound
                 places[s, :3], places[s, 3] = c, q
             continue
-        if top + 2 > depth:
-            continue
-        for side in (-1, 1):
-            cell[top, :3], cell[top, 3:6], cell[top, 6], cell[top, 7] = c, e, q, eq
+        end = start + length
+        if end + 2 * length > len(pool):
+            bigger = np.empty(2 * (end + 2 * length), np.int64)
+            bigger[:end] = pool[:end]
+            pool = bigger
+        first_end = end
+        for side in range(2):
+            k = top + side
+            cell[k, :3], cell[k, 3:6], cell[k, 6], cell[k, 7] = c, e, q, eq
+            sign = 2 * side - 1
             if axis == 3:
-                cell[top, 7] = eq / 2
-                cell[top, 6] = q + side * eq / 2
+                cell[k, 7] = eq / 2
+                cell[k, 6] = q + sign * eq / 2
             else:
-                cell[top, 3 + axis] = e[axis] / 2
-                cell[top, axis] = c[axis] + side * e[axis] / 2
-            at[top, 0], at[top, 1] = end, n
-            top += 1
+                cell[k, 3 + axis] = e[axis] / 2
+                cell[k, axis] = c[axis] + sign * e[axis] / 2
+            n, most, everywhere, middle = _allowed(scene, A, P1, P2, low, high, weight, cell[k], pool, start, length, end, marks, 2 * nodes + side)
+            best = max(best, middle)
+            at[k, 0], at[k, 1] = end, n
+            bounds[k, 0], bounds[k, 1] = most, everywhere
+            end += n
+        if bounds[top, 0] > bounds[top + 1, 0]:                                 # the better one on top, in the stack and in the pool
+            first, second = at[top, 1], at[top + 1, 1]
+            held = pool[first_end:first_end + first].copy()
+            for s in range(second):
+                pool[first_end + s] = pool[first_end + first + s]
+            for s in range(first):
+                pool[first_end + second + s] = held[s]
+            for a in range(8):
+                cell[top, a], cell[top + 1, a] = cell[top + 1, a], cell[top, a]
+            for a in range(2):
+                bounds[top, a], bounds[top + 1, a] = bounds[top + 1, a], bounds[top, a]
+            at[top, 0], at[top, 1] = first_end, second
+            at[top + 1, 0], at[top + 1, 1] = first_end + second, first
+        top += 2
     return places[:count], scores[:count], best, nodes
+
+
+@njit(cache=True)
+def _allowed(scene, A, P1, P2, low, high, weight, cell, pool, start, length, end, marks, stamp):
+    """Which of the correspondences pool[start:start + length] are possible in a cell; they are written to pool[end:].
+
+    Returns their number and the weights of the scene facets that are possible somewhere, hold everywhere, hold in the middle.
+    """
+    n, most, everywhere, middle = 0, 0.0, 0.0, 0.0
+    q, eq = cell[6], cell[7]
+    for s in range(start, start + length):
+        k = pool[s]
+        possible, certain, holds = True, True, True
+        for a in range(3):
+            x = A[k, a, 0] * cell[0] + A[k, a, 1] * cell[1] + A[k, a, 2] * cell[2]
+            r = abs(A[k, a, 0]) * cell[3] + abs(A[k, a, 1]) * cell[4] + abs(A[k, a, 2]) * cell[5]
+            first, second = x + q * P1[k, a] - low[k, a], high[k, a] - x - q * P2[k, a]
+            r1, r2 = r + eq * abs(P1[k, a]), r + eq * abs(P2[k, a])
+            if first + r1 < 0 or second + r2 < 0:
+                possible = False
+                break
+            if first < r1 or second < r2:
+                certain = False
+                if first < 0 or second < 0:
+                    holds = False
+        if possible:
+            pool[end + n] = k
+            n += 1
+            i = scene[k]
+            if marks[0, i] != stamp:
+                marks[0, i] = stamp
+                most += weight[i]
+            if certain and marks[1, i] != stamp:
+                marks[1, i] = stamp
+                everywhere += weight[i]
+            if holds and marks[2, i] != stamp:
+                marks[2, i] = stamp
+                middle += weight[i]
+    return n, most, everywhere, middle
 
 
 # From a place to a pose.
@@ -700,29 +732,33 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
         return nothing(f"the {len(scene)} facets face less than 3 independent directions: the pose can slide")
     weight, size_ok = _weights(seen, db, scale_free)
     directions = _directions(db)
-    rotations = _rotations(seen, weight, directions)
+    rotations = _rotations(seen, directions)
     counts["rotations"] = len(rotations)
     extent = float(np.linalg.norm(db.size))
     margin = certain + 2.0
     # the scale: the scene is at most as large as the model, at least a hundredth of it
     spread = max(float(np.linalg.norm(seen.g - seen.pivot, axis=1).max()), 1e-12)
     q_low, q_high = (0.01 * extent / spread, extent / spread) if scale_free else (1.0, 1.0)
-    found, best = [], 0.0
-    for R, sigma, bound in rotations:
-        if bound < best - margin:
-            break
+    problems = []
+    for R, sigma, _ in rotations:
         made = _correspondences(seen, db, R, sigma, scale_free, size_ok)
-        if made is None:
-            continue
-        i, f, A, P1, P2, low, high = made
-        counts["correspondences"] += len(i)
-        q, eq = (q_low + q_high) / 2, (q_high - q_low) / 2
-        tolerance = np.median(P1[:, 0] - P2[:, 0]) / 2 * (q if not scale_free else math.sqrt(q_low * q_high))
-        places, scores, best, nodes = _search(i, A, P1, P2, low, high, weight, np.zeros(3), db.size / 2 + 0.25 * extent, q, eq, spread,
-                                              max(0.4 * tolerance, 1e-6 * extent), best, margin, 400_000)
-        counts["nodes"] += nodes
-        for place, score in zip(places, scores):
-            found.append((score, R, place, made))
+        if made is not None:
+            bound = np.bincount(made[0], minlength=len(scene))
+            problems.append((float(weight[bound > 0].sum()), R, made))
+            counts["correspondences"] += len(made[0])
+    found, best = [], 0.0
+    for most_nodes in (300, 5000, 400_000):                                          # a quick look at all of them tells what need not be searched
+        found = []
+        for bound, R, made in problems:
+            if bound < best - margin:
+                continue
+            i, f, A, P1, P2, low, high = made
+            q, eq = (q_low + q_high) / 2, (q_high - q_low) / 2
+            tolerance = np.median(P1[:, 0] - P2[:, 0]) / 2 * (q if not scale_free else math.sqrt(q_low * q_high))
+            places, scores, best, nodes = _search(i, A, P1, P2, low, high, weight, np.zeros(3), db.size / 2 + 0.25 * extent, q, eq, spread,
+                                                  max(0.4 * tolerance, 1e-6 * extent), best, margin, most_nodes)
+            counts["nodes"] += nodes
+            found += [(score, R, place, made) for place, score in zip(places, scores)]
     found = sorted((x for x in found if x[0] >= best - margin), key=lambda x: -x[0])[:150]
     counts["candidates"] = len(found)
     poses = []
@@ -795,14 +831,11 @@ def _judge(seen, db, weight, poses, certain, scale_free, counts):
     rivals = [p for p in poses[1:] if p.score > best.score - certain]
     final = []
     for p in (best, *rivals):
-        values = np.linalg.eigvalsh(p.covariance / _unit(seen, p.scale, size))
-        if values[0] <= 1e-9:
-            continue
         T = p.T.copy()
         T[:3, 3] = p.T[:3, 3] - p.T[:3, :3] @ db.centre
         linear = p.linear.copy()
         linear[:3, 3] = linear[:3, 3] - linear[:3, :3] @ db.centre
-        final.append(replace(p, T=T, covariance=np.linalg.inv(p.covariance), linear=linear))
+        final.append(replace(p, T=T, covariance=np.linalg.inv(p.covariance + 1e-2 * _unit(seen, p.scale, size) * np.eye(size)), linear=linear))
     return Recognition(tuple(final), "ambiguous" if len(final) > 1 else "unique", "", weight, counts)
 
 
@@ -824,4 +857,5 @@ def _distinct_planes(db, facets):
 def warm_up():
     """Compiles, or reads from the cache, what is compiled."""
     one = np.zeros((1, 3))
+    _support(np.eye(3)[None], np.eye(3), np.eye(3), np.ones(3), np.ones(3))
     _search(np.zeros(1, np.int64), np.eye(3)[None], one - 1, one + 1, one - 1, one + 1, np.ones(1), np.zeros(3), np.ones(3), 1.0, 0.0, 1.0, 0.5, 0.0, 1.0, 100)

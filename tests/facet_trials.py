@@ -39,19 +39,29 @@ def polygons_of_rooms(random, rooms=3, furniture=14, symmetric=False, gap=0.3):
     return things, boxes
 
 
-def camera_in(random, low, high, width=320, height=240, focal=210.0):
+def camera_in(random, model, low, high, width=320, height=240, focal=210.0):
+    """A camera at eye height near a wall of the box, looking inwards; nothing within 0.4 m before it, at least five facets in view."""
     size = high - low
-    side = random.integers(4)
-    eye = low + size * np.array([random.uniform(.08, .2), random.uniform(.1, .9), 0])
-    eye = {0: eye, 1: low + size * np.array([1, 1, 0]) - (eye - low), 2: low + size * np.array([random.uniform(.1, .9), random.uniform(.08, .2), 0]),
-           3: low + size * np.array([random.uniform(.1, .9), random.uniform(.8, .92), 0])}[int(side)]
-    eye[2] = low[2] + random.uniform(1.3, 1.8)
-    target = (low + high) / 2 + random.uniform(-0.4, 0.4, 3)
-    target[2] = low[2] + random.uniform(0.7, 1.2)
-    T = recipes.look(eye, target)
-    roll = random.uniform(-0.1, 0.1)
-    T[:2] = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]]) @ T[:2]
-    return Camera(recipes.pinhole(width, height, focal), width, height, T)
+    while True:
+        edge, along = random.uniform(.08, .2), random.uniform(.1, .9)
+        at = [(edge, along), (1 - edge, along), (along, edge), (along, 1 - edge)][random.integers(4)]
+        eye = low + size * np.array([*at, 0]) + [0, 0, random.uniform(1.3, 1.8)]
+        target = (low + high) / 2 + random.uniform(-0.4, 0.4, 3)
+        target[2] = low[2] + random.uniform(0.7, 1.2)
+        T = recipes.look(eye, target)
+        roll = random.uniform(-0.1, 0.1)
+        T[:2] = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]]) @ T[:2]
+        camera = Camera(recipes.pinhole(width, height, focal), width, height, T)
+        index = draw(model, camera)
+        if index.depth.min() > 0.4 and (np.bincount(index.facet[index.facet >= 0]) > 400).sum() >= 5:
+            return camera
+
+
+def draw(model, camera):
+    try:
+        return index_buffer.draw(model, camera)
+    except index_buffer.NoGraphics:
+        return index_buffer.reference(model, camera)
 
 
 def covariance_of(q, m, camera, baseline, noise_px=NOISE_PX):
@@ -69,10 +79,7 @@ def facets_seen(random, model, camera, *, spurious=0.5, baseline=0.3, most=14, l
     """
     import cv2
 
-    try:
-        index = index_buffer.draw(model, camera)
-    except index_buffer.NoGraphics:
-        index = index_buffer.reference(model, camera)
+    index = draw(model, camera)
     count = np.bincount(index.facet[index.facet >= 0], minlength=model.n_facets)
     large = [f for f in np.argsort(-count) if count[f] >= least_px][:most]
     m, C, polygons, truth = [], [], [], []
