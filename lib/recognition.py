@@ -314,7 +314,7 @@ def _rotations(seen, directions, most=200, tried=20000):
     model_angle = np.arccos(np.clip(directions @ directions.T, -1, 1))
     parts, number = [], 0
     for k in np.argsort(tolerance, kind="stable"):
-        a, b = np.nonzero(np.abs(model_angle - math.acos(cosine[k])) < tolerance[k])
+        a, b = np.nonzero((np.abs(model_angle - math.acos(cosine[k])) < tolerance[k]) & (np.sin(model_angle) > 0.15))
         if len(a):
             parts.append(_frames(seen.n[i[k]], seen.n[j[k]])[None] @ _frames(directions[a], directions[b]).transpose(0, 2, 1))
             number += len(a)
