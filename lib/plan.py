@@ -180,7 +180,7 @@ class _Walk:
             return
         self.planned.add(stage.name)
         if not stage.built:
-            what = ":" if file in (None, goal) else f" needs {file}, which is not given:"
+            what = ":" if file in (None, goal) else f" needs {' or '.join(scenes.alternatives(file))}, which is not given:"
             self.refuse(f"{goal}{what} the stage {stage.name} is not built yet")
             return
         for read in stage.reads.values():
