@@ -22,7 +22,9 @@ from lib import matching
 # -- borders of regions to a part of a pixel
 
 REACH = 3                         # px: a border's profile reaches so far to either side
-WEAK = 0.5                        # px: a border that the picture does not locate better is taken from the labels
+WEAK = 2.0                        # px: a border that the picture does not locate to half a pixel is taken from the labels, whose errors
+                                  # of up to half a pixel are the same along a whole stretch: so little is one of its points worth
+MIXED = 0.1                       # of the contrast: pixels on a border between two colours lie so near the line between them (gamma bends it)
 
 
 @njit(cache=True)
@@ -125,12 +127,20 @@ def _borders(labels, values, wanted, noise):
                             f = 0.0
                             for c in range(channels):
                                 f += (values[yy, xx, c] - outer[c]) * (inner[c] - outer[c])
-                            area += f / contrast
+                            f /= contrast
+                            aside = 0.0                               # off the line between the two colours: there is a third one
+                            for c in range(channels):
+                                aside = max(aside, abs(values[yy, xx, c] - outer[c] - f * (inner[c] - outer[c])))
+                            mixed = np.sqrt(contrast)
+                            if aside > 4.5 * noise + MIXED * mixed or abs(f - 0.5) > 0.5 + MIXED + 4.5 * noise / mixed:
+                                whole = False
+                                break
+                            area += f
                             count += 1
                         if whole:
                             located = 0.5 - REACH + area
                             spread = noise * np.sqrt((count + REACH ** 2 * (1 / n_in + 1 / n_out)) / contrast)
-                            if spread < WEAK and -1.5 < located - 0.5 * (1 + start) + 0.5 < 1.5:
+                            if spread < 0.5 and -1.5 < located - 0.5 * (1 + start) + 0.5 < 1.5:
                                 at, error = located, spread
                 point[n, 0], point[n, 1] = x + at * dx, y + at * dy
                 normal[n, 0], normal[n, 1] = gx, gy
@@ -235,10 +245,11 @@ FLOOR = 0.03                      # px: pixels are not ideal windows, light does
 
 
 @njit(cache=True)
-def _contour_system(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, ruv, rnormal, rsigma, rbend, rows):
+def _contour_rows(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, lpart, ruv, rnormal, rsigma, rbend, rows):
     """Compare the left border, moved by the plane (a, b, c at (u0, v0)), with the right one, along the right one's normal.
 
-    rows : out, per point used: coefficients of (a, b, c) and the residual, all over sigma; Tukey's weight; u; v; sigma, px. Returns their number.
+    rows : out, per point used: coefficients of (a, b, c) and the residual, all over sigma; Tukey's weight; the right normal's u; part;
+    sigma, px. Returns their number.
     """
     n, lo = 0, 0
     for k in range(len(luv)):
@@ -264,73 +275,104 @@ def _contour_system(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, ru
         cut = max(reach, 4.7 * scale * sigma)
         rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = -nu * du0 / sigma, -nu * dv0 / sigma, -nu / sigma, r / sigma
         rows[n, 4] = (1 - (r / cut) ** 2) ** 2 if abs(r) < cut else 0.0
-        rows[n, 5], rows[n, 6], rows[n, 7] = luv[k, 0], v, sigma
+        rows[n, 5], rows[n, 6], rows[n, 7] = nu, lpart[k], sigma
         n += 1
     return n
 
 
 @njit(cache=True)
-def _normal_equations(rows, n, A, b):
-    A[:] = 0
-    b[:] = 0
-    for k in range(n):
-        for p in range(3):
-            for q in range(3):
-                A[p, q] += rows[k, 4] * rows[k, p] * rows[k, q]
-            b[p] -= rows[k, 4] * rows[k, p] * rows[k, 3]
-
-
-@njit(cache=True)
-def _fit_contours(plane, u0, v0, size, iterations, luv, lnormal, lsigma, lbend, ruv, rnormal, rsigma, rbend, rows):
+def _fit_contours(plane, u0, v0, size, reach, iterations, left, right, rows):
     """Iterate to the plane; rows as above at the last step. Returns the plane, the scale of the residuals over sigma, and n."""
     plane = plane.copy()
     A, b = np.zeros((3, 3)), np.zeros(3)
-    reach, scale, n = 4.0, 1.0, 0
+    scale, n = 1.0, 0
     for iteration in range(iterations + 1):
-        n = _contour_system(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, ruv, rnormal, rsigma, rbend, rows)
+        n = _contour_rows(plane, u0, v0, reach, scale, *left, *right, rows)
         if n < 4 or iteration == iterations:
             break
-        _normal_equations(rows, n, A, b)
         # What the borders do not say stays as it is.
-        A[0, 0] += 1e-2 * size ** 2
-        A[1, 1] += 1e-2 * size ** 2
-        A[2, 2] += 1e-2
+        A[:] = 0
+        b[:] = 0
+        A[0, 0], A[1, 1], A[2, 2] = 1e-2 * size ** 2, 1e-2 * size ** 2, 1e-2
+        for k in range(n):
+            for p in range(3):
+                for q in range(3):
+                    A[p, q] += rows[k, 4] * rows[k, p] * rows[k, q]
+                b[p] -= rows[k, 4] * rows[k, p] * rows[k, 3]
         s0, s1, s2 = matching._solve3(A, b)
         plane[0] += s0
         plane[1] += s1
         plane[2] += s2
         scale = max(1.4826 * np.median(np.abs(rows[:n, 3])), 1.0)
-        reach = 0.6 * reach if reach > 0.3 else 0.0
-        if reach == 0 and abs(s0) * size + abs(s1) * size + abs(s2) < 1e-4:
-            n = _contour_system(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, ruv, rnormal, rsigma, rbend, rows)
+        small = abs(s0) * size + abs(s1) * size + abs(s2) < 1e-4
+        if reach == 0 and small:
             break
+        reach = 0.6 * reach if reach > 0.3 else 0.0
     return plane, scale, n
 
 
-@njit(cache=True)
-def _clusters(rows, n, whiten, cell):
-    """Sum over cells of the squared, whitened sum of scores: 3 scale^2 where neighbours are independent. rows : as above; whiten : (3, 3)."""
-    done = np.zeros(n, np.bool_)
-    total = 0.0
-    g = np.empty(3)
-    for k in range(n):
-        if done[k]:
-            continue
-        ku, kv = np.floor(rows[k, 5] / cell), np.floor(rows[k, 6] / cell)
-        g[:] = 0
-        j = k
-        while j < n and np.floor(rows[j, 6] / cell) <= kv:
-            if not done[j] and np.floor(rows[j, 5] / cell) == ku and np.floor(rows[j, 6] / cell) == kv:
-                done[j] = True
-                for p in range(3):
-                    g[p] += rows[j, 4] * rows[j, p] * rows[j, 3]
-            j += 1
-        for p in range(3):
-            s = 0.0
-            for q in range(3):
-                s += whiten[p, q] * g[q]
-            total += s * s
-    return total
+def _parts(labels, label, q):
+    """For each border point (n, 2) of a region the side of its outline, outer or of a hole, on which it lies: straight to 1.5 px."""
+    import cv2
+
+    y, x = np.nonzero(labels == label)
+    y0, x0 = y.min() - 1, x.min() - 1
+    mask = np.zeros((y.max() - y0 + 2, x.max() - x0 + 2), np.uint8)
+    mask[y - y0, x - x0] = 1
+    contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    rings = [cv2.approxPolyDP(c, 1.5, True)[:, 0] + [x0, y0] for c in contours]
+    start = np.concatenate(rings).astype(float)
+    end = np.concatenate([np.roll(r, -1, 0) for r in rings]).astype(float)
+    along = end - start
+    length2 = np.maximum((along ** 2).sum(axis=1), 1e-12)
+    part = np.empty(len(q), np.int64)
+    for first in range(0, len(q), 2000):
+        to = q[first:first + 2000, None] - start
+        t = np.clip((to * along).sum(axis=2) / length2, 0, 1)
+        part[first:first + 2000] = ((to - t[..., None] * along) ** 2).sum(axis=2).argmin(axis=1)
+    return part
+
+
+AGREE = 0.35                      # px: a part of the border that lies so far from where the plane puts it is not the facet's own
+PARTS = 12                        # parts tried as the ones that are
+
+
+def _own_parts(rows, n_parts, size):
+    """Which parts of the border are the facet's own, and the step (a, b, c) they ask for.
+
+    A border belongs to the nearer of the two surfaces that meet there. What hides part of the facet lies in front of it, so each part
+    either agrees with the facet's plane or has *more* disparity; no border can lie behind. Every two and three parts propose a plane; the
+    one wins with which most of the border, as seen across the epipolar lines, agrees, less what would lie behind.
+    """
+    strong = rows[:, 7] < 1.0
+    part = rows[:, 6].astype(int)
+    J = rows[:, :3] * rows[:, 7:8] / [size, size, 1]
+    r, nu = rows[:, 3] * rows[:, 7], rows[:, 5]
+    weight = strong.astype(float)
+    sums = lambda x: np.bincount(part, weight * x, n_parts)
+    n = sums(1.0)
+    info = sums(nu ** 2)
+    A = np.array([[sums(J[:, p] * J[:, q]) for p in range(3)] for q in range(3)]).transpose(2, 0, 1)
+    b, c = np.stack([sums(J[:, p] * r) for p in range(3)], axis=1), sums(r * r)
+    mean = np.stack([sums(nu * J[:, p]) for p in range(3)], axis=1), sums(nu * r)
+    noise = sums(rows[:, 7] ** 2)
+    top = [p for p in np.argsort(-info, kind="stable")[:PARTS] if info[p] >= 2]
+    sets = [(p, q, s) for i, p in enumerate(top) for j, q in enumerate(top[i:], i) for s in top[j:]]
+    if not sets:
+        return None
+    some = np.array(sets)
+    member = np.zeros((len(sets), n_parts))
+    np.put_along_axis(member, some, 1.0, axis=1)
+    prior = np.diag([0.02, 0.02, 1e-6]) * 1.0                           # px^-2: what few parts do not say stays near
+    x = -np.linalg.solve(np.einsum("hp,pij->hij", member, A) + prior, np.einsum("hp,pi->hi", member, b)[..., None])[..., 0]
+    square = np.einsum("hi,pij,hj->hp", x, A, x) + 2 * x @ b.T + c
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rms2 = np.where(n > 0, np.maximum(square - noise, 0) / n, np.inf)
+        ahead = np.where(info > 0, (x @ mean[0].T + mean[1]) / info, 0)  # disparity beyond the plane's
+    agree = np.maximum(1 - rms2 / AGREE ** 2, 0)
+    score = (info * agree).sum(axis=1) - (info * ((agree == 0) & (ahead < -2 * AGREE))).sum(axis=1)
+    h = int(score.argmax())
+    return agree[h] > 0, x[h] / [size, size, 1], score[h] / max(info.sum(), 1e-12)
 
 
 # -- from measurements to facets
@@ -375,15 +417,19 @@ def reconstruct(pair, labels, values, left, right, *, iterations=30, progress=No
     """Facets and Refused of the pairs (left[k], right[k]). labels, values : of the left and the right photograph."""
     regions = [matching.regions(pair, *x) for x in zip(labels, values, ("left", "right"))]
     edges = [borders(pair, x, v, wanted, side, noise(v, x)) for x, v, wanted, side in zip(labels, values, (left, right), ("left", "right"))]
+    measured = []
+    for done, (l, r) in enumerate(zip(left, right), 1):
+        measured.append(_measure(pair, labels[0], regions, edges, int(l), int(r), iterations))
+        if progress:
+            progress(done / len(left))
+    sigma_side = _side_sigma([x for x in measured if not isinstance(x, str)])
     uv = [pair.rectified(c.pixels(), side) for c, side in ((pair.left, "left"), (pair.right, "right"))]
     split = [tuple(np.ascontiguousarray(x[..., k]) for k in (0, 1)) for x in uv]
     found, refused = [], []
-    for done, (l, r) in enumerate(zip(left, right), 1):
-        answer = _one(pair, labels, values, regions, edges, split, int(l), int(r), iterations)
-        (refused if isinstance(answer, Refused) else found).append(answer)
-        if progress:
-            progress(done / len(left))
-    return found, refused
+    for l, r, x in zip(left, right, measured):
+        answer = x if isinstance(x, str) else _facet(pair, labels, values, regions, split, int(l), int(r), x, sigma_side)
+        (found.append(answer) if isinstance(answer, Facet) else refused.append(Refused(int(l), int(r), answer)))
+    return found, refused, sigma_side
 
 
 def _of(borders, label):
@@ -391,47 +437,113 @@ def _of(borders, label):
     return borders.uv[part], borders.normal[part], borders.sigma[part], borders.bend[part]
 
 
-def _one(pair, labels, values, regions, edges, split, l, r, iterations):
-    f, baseline = pair.f_px, pair.baseline
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What the borders of a pair say: sums of normal equations by side of the outline, at a plane (a, b, c at uv0).
+
+    A : (3, 3), b : (3,)                    over all points, in units of (size, size, 1), divided by scale^2
+    B : (P, 3), C, D : (P,)                 the same of a common offset of each side, px: with the plane, with itself, with the residual
+    square : of the residuals               points : their number          rms_px : weighted
+    """
+
+    plane: np.ndarray
+    uv0: np.ndarray
+    size: float
+    A: np.ndarray
+    b: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    square: float
+    points: int
+    rms_px: float
+
+
+def _measure(pair, labels, regions, edges, l, r, iterations):
+    """_Measured, or why not."""
     start, agree, n = matching.outline_plane(*regions, l - 1, r - 1)
     if n < 6:
-        return Refused(l, r, "no rows in common")
+        return "no rows in common"
     mine, other = _of(edges[0], l), _of(edges[1], r)
     if len(mine[0]) < LEAST_POINTS or len(other[0]) < LEAST_POINTS:
-        return Refused(l, r, "no border inside the picture")
+        return "no border inside the picture"
     u0, v0 = mine[0].mean(axis=0)
     size = float(max(np.sqrt(mine[0].var(axis=0).sum()), 1.0))
     rows = np.empty((len(mine[0]), 8))
-    plane, scale, n = _fit_contours(start + [0, 0, start[0] * u0 + start[1] * v0], u0, v0, size, iterations, *mine, *other, rows)
-    rows = rows[:n]
-    used = rows[rows[:, 4] > 0.1]
-    if len(used) < LEAST_POINTS:
-        return Refused(l, r, "borders do not meet")
-    A = (used[:, :3] * used[:, 4:5]).T @ used[:, :3]
-    # (a, b, c at the centre) to m, left frame: linear.
-    to_m = pair.R_rect_left.T @ np.diag([1, 1, 1 / f]) @ np.array([[1, 0, 0], [0, 1, 0], [-u0, -v0, 1]]) / baseline
-    unit = np.array([size, size, 1])
-    w, V = np.linalg.eigh(A / unit / unit[:, None])
+    part = _parts(labels, l, edges[0].q[edges[0].first[l]:edges[0].first[l + 1]])
+    n_parts = int(part.max()) + 1
+    plane, scale, n = _fit_contours(start + [0, 0, start[0] * u0 + start[1] * v0], u0, v0, size, 4.0, iterations, (*mine, part), other, rows)
+    for reach in (6.0, 3.0, 1.5):
+        n = _contour_rows(plane, u0, v0, reach, 1.0, *mine, part, *other, rows)
+        own = _own_parts(rows[:n], n_parts, size)
+        if own is None:
+            break
+        plane = plane + own[1]
+    if own is not None:
+        keep = own[0][part]
+        mine, part = tuple(np.ascontiguousarray(x[keep]) for x in mine), part[keep]
+    plane, scale, n = _fit_contours(plane, u0, v0, size, 1.0, iterations, (*mine, part), other, rows)
+    rows = rows[:n][rows[:n, 4] > 0.1]
+    if len(rows) < LEAST_POINTS:
+        return "borders do not meet"
+    J, e, w = rows[:, :3] / [size, size, 1] / scale, rows[:, 3] / scale, rows[:, 4]
+    part, one = rows[:, 6].astype(int), 1 / rows[:, 7] / scale
+    sums = lambda x: np.bincount(part, w * x, n_parts)
+    return _Measured(plane, np.array([u0, v0]), size, (J * w[:, None]).T @ J, J.T @ (w * e), np.stack([sums(J[:, p] * one) for p in range(3)], axis=1),
+                     sums(one * one), sums(one * e), float((w * e * e).sum()), len(rows),
+                     float(np.sqrt((w * (rows[:, 3] * rows[:, 7]) ** 2).sum() / w.sum())))
+
+
+def _with_sides(x, sigma_side):
+    """Normal matrix, right-hand side (at x.plane), residual square and log determinant where each side of the outline is off by
+    sigma_side px as a whole."""
+    if sigma_side == 0:
+        return x.A, x.b, x.square, 0.0
+    k = 1 / (x.C + 1 / sigma_side ** 2)
+    return x.A - np.einsum("p,pi,pj->ij", k, x.B, x.B), x.b - (k * x.D) @ x.B, x.square - float((k * x.D ** 2).sum()), float(np.log1p(sigma_side ** 2 * x.C).sum())
+
+
+def _side_sigma(measured):
+    """How far sides of outlines are off as a whole (slivers too thin to see, blur that differs from left to right): px.
+
+    One number for the pair, by restricted maximum likelihood: what is common to a side's points cannot be told from the facet's own
+    disparity in one facet, but over all facets it can, for a facet has more sides than unknowns.
+    """
+    grid = np.array([0, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
+    cost = np.zeros((len(measured), len(grid)))
+    for i, x in enumerate(measured):
+        for k, s in enumerate(grid):
+            A, b, square, volume = _with_sides(x, s)
+            A = A + 1e-9 * np.eye(3)
+            cost[i, k] = square - b @ np.linalg.solve(A, b) + volume + np.linalg.slogdet(A)[1]
+    return float(grid[cost.sum(axis=0).argmin()]) if len(measured) else 0.0
+
+
+def _facet(pair, labels, values, regions, split, l, r, x, sigma_side):
+    """Facet, or why not."""
+    (u0, v0), unit = x.uv0, np.array([x.size, x.size, 1])
+    A, b, square, _ = _with_sides(x, sigma_side)
+    w, V = np.linalg.eigh(A)
     if not w[0] > 1e-9 * w[2]:
-        return Refused(l, r, "condition: its borders run along the epipolar lines, or in one line")
-    covariance = to_m @ ((V / w) @ V.T / unit / unit[:, None]) @ to_m.T * scale ** 2
+        return "condition: its borders run along the epipolar lines, or in one line"
+    inverse = (V / w) @ V.T
+    plane = x.plane - inverse @ b / unit
+    # (a, b, c at the centre) to m, left frame: linear.
+    to_m = pair.R_rect_left.T @ np.diag([1, 1, 1 / pair.f_px]) @ np.array([[1, 0, 0], [0, 1, 0], [-u0, -v0, 1]]) / pair.baseline
+    covariance = to_m @ (inverse / unit / unit[:, None]) @ to_m.T
     m = to_m @ plane
-    length = np.linalg.norm(m)
     if not (m @ _middle(pair, (u0, v0)) > 0):
-        return Refused(l, r, "not in front of the cameras")
-    if np.sqrt(np.linalg.eigvalsh(covariance)[-1]) > MOST_TILT * length:
-        return Refused(l, r, "condition: distance or direction not known")
+        return "not in front of the cameras"
+    if np.sqrt(np.linalg.eigvalsh(covariance)[-1]) > MOST_TILT * np.linalg.norm(m):
+        return "condition: distance or direction not known"
     a, b, c = plane - [0, 0, plane[0] * u0 + plane[1] * v0]
-    if a >= 0.95:
-        return Refused(l, r, "through a camera's centre")
+    polygon = outline(labels[0], l, pair.left, m)
+    if a >= 0.95 or polygon is None:
+        return "through a camera's centre"
     overlap = _mutual(pair, labels, values, regions, split, l, r, a, b, c)
     if overlap < LEAST_OVERLAP:
-        return Refused(l, r, "overlap: left does not cover right")
-    polygon = outline(labels[0], l, pair.left, m)
-    if polygon is None:
-        return Refused(l, r, "through a camera's centre")
-    rms = float(np.sqrt((used[:, 4] * (used[:, 3] * used[:, 7]) ** 2).sum() / used[:, 4].sum()))
-    return Facet(l, r, m, covariance, polygon, overlap, rms)
+        return "overlap: left does not cover right"
+    return Facet(l, r, m, covariance, polygon, overlap, x.rms_px)
 
 
 def _middle(pair, uv0):

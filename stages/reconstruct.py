@@ -41,7 +41,7 @@ def main(opt):
             left, right = matching.read(opt.matches, *labels)
             unit = facets.unit_of(opt.orientation)
         with report.timing("reconstruct"):
-            found, refused = facets.reconstruct(pair, labels, values, left, right, progress=stage.Bar("facets"))
+            found, refused, sigma_side = facets.reconstruct(pair, labels, values, left, right, progress=stage.Bar("facets"))
 
         report["facets"], report["refused"] = len(found), facets.reasons(refused)
         report["covered"] = matching.share(labels[0], [x.left_label for x in found])
