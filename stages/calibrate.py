@@ -23,7 +23,7 @@ def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--boards", help="a folder")
     parser.add_argument("--board", type=stage.json_option, help="its inner corners across and down, and its squares")
-    parser.add_argument("--lens", type=stage.json_option, default="LENSMODEL_OPENCV8", help="what mrcal fits")
+    parser.add_argument("--lens", type=stage.json_option, default='"LENSMODEL_OPENCV8"', help="what mrcal fits")
     parser.add_argument("--photograph")
     parser.add_argument("--photograph-right")
     for name in ("camera", "camera-right", "corners", "calibration"):
