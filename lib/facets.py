@@ -12,7 +12,7 @@ disparity is at a place, and that is *linear* in m. So one weighted least-square
 each weighed by its own noise, and its inverse is the covariance.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -141,7 +141,7 @@ def _borders(labels, values, wanted, noise):
                             located = 0.5 - REACH + area
                             spread = noise * np.sqrt((count + REACH ** 2 * (1 / n_in + 1 / n_out)) / contrast)
                             if spread < 0.5 and -1.5 < located - 0.5 * (1 + start) + 0.5 < 1.5:
-                                at, error = located, spread
+                                at, error = located, spread if start == 1 else max(spread, 0.5)     # a sliver may be a surface of its own
                 point[n, 0], point[n, 1] = x + at * dx, y + at * dy
                 normal[n, 0], normal[n, 1] = gx, gy
                 sigma[n], owner[n], beyond[n] = error * along, label, other
@@ -375,6 +375,128 @@ def _own_parts(rows, n_parts, size):
     return agree[h] > 0, x[h] / [size, size, 1], score[h] / max(info.sum(), 1e-12)
 
 
+# -- intensities
+
+SMOOTH_PX = (2.0, 0.8)            # coarse to fine: the last one measures, the first ones bring the start near
+TEXTURE = 4.5                     # times the noise of a gradient: what is less says nothing, and would pretend to
+MOST_PIXELS = 20000
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """Both photographs, smoothed, and the left one's slope along the epipolar lines: (H, W, C) each; noise of a slope."""
+
+    left: np.ndarray
+    slope: np.ndarray
+    right: np.ndarray
+    slope_noise: float
+
+
+def _levels(pair, values, sigma):
+    import cv2
+
+    uv = pair.rectified(pair.left.pixels(), "left")
+    step = pair.photograph(uv + [0.5, 0], "left") - pair.photograph(uv - [0.5, 0], "left")            # d pixel / d u
+    levels = []
+    for smooth in SMOOTH_PX:
+        left, right = (cv2.GaussianBlur(v, (0, 0), smooth, borderType=cv2.BORDER_REPLICATE).reshape(v.shape) for v in values)
+        gy, gx = np.gradient(left, axis=(0, 1))
+        slope = gx * step[..., :1] + gy * step[..., 1:]
+        impulse = np.zeros((33, 33))
+        impulse[16, 16] = 1
+        gain = np.sqrt((np.gradient(cv2.GaussianBlur(impulse, (0, 0), smooth))[1] ** 2).sum())
+        levels.append(_Level(left, np.nan_to_num(slope), right, gain * sigma))
+    return levels
+
+
+@njit(cache=True)
+def _texture_rows(plane, u0, v0, pixels, u, v, left, slope, right, labels, wanted, least, f, R, K, gain, offset, rows):
+    """Per pixel and channel with a slope of at least `least`: coefficients of (a, b, c); left value; channel; residual; x, y. Their number.
+
+    residual = right(where the plane takes the pixel) - gain left - offset; its slope is taken from the left photograph, whose noise
+    is not the right one's: a slope and a residual with noise in common would agree by themselves.
+    """
+    height, width, channels = right.shape
+    n = 0
+    for k in range(len(pixels)):
+        y, x = pixels[k] // u.shape[1], pixels[k] % u.shape[1]
+        du, dv = u[y, x] - u0, v[y, x] - v0
+        d0, d1 = (u[y, x] - (plane[0] * du + plane[1] * dv + plane[2])) / f, v[y, x] / f
+        z = R[0, 2] * d0 + R[1, 2] * d1 + R[2, 2]
+        if z <= 0:
+            continue
+        qx = K[0, 0] * (R[0, 0] * d0 + R[1, 0] * d1 + R[2, 0]) / z + K[0, 2]
+        qy = K[1, 1] * (R[0, 1] * d0 + R[1, 1] * d1 + R[2, 1]) / z + K[1, 2]
+        ix, iy = int(np.floor(qx)), int(np.floor(qy))
+        if ix < 1 or iy < 1 or ix >= width - 2 or iy >= height - 2:
+            continue
+        fx, fy = qx - ix, qy - iy
+        if labels[iy + (fy > 0.5), ix + (fx > 0.5)] != wanted:
+            continue
+        for c in range(channels):
+            if abs(slope[y, x, c]) < least:
+                continue
+            value = 0.0
+            for j in range(4):                                        # Catmull and Rom's cubic
+                wy = (0.5 * fy * (-1 + fy * (2 - fy)), 1 + fy * fy * (1.5 * fy - 2.5), 0.5 * fy * (1 + fy * (4 - 3 * fy)), 0.5 * fy * fy * (fy - 1))[j]
+                for i in range(4):
+                    wx = (0.5 * fx * (-1 + fx * (2 - fx)), 1 + fx * fx * (1.5 * fx - 2.5), 0.5 * fx * (1 + fx * (4 - 3 * fx)), 0.5 * fx * fx * (fx - 1))[i]
+                    value += wy * wx * right[iy - 1 + j, ix - 1 + i, c]
+            s = -gain[c] * slope[y, x, c] / (1 - plane[0])
+            rows[n, 0], rows[n, 1], rows[n, 2] = s * du, s * dv, s
+            rows[n, 3], rows[n, 4] = left[y, x, c], c
+            rows[n, 5], rows[n, 6], rows[n, 7] = value - gain[c] * left[y, x, c] - offset[c], x, y
+            n += 1
+    return n
+
+
+def _texture(pair, level, split, labels, l, r, pixels, plane, uv0, size, iterations):
+    """(plane, A, b = 0) from the intensities at `pixels` (indices) of the left region, at one level; None where they say too little.
+
+    A : (3, 3) as _Measured.A, divided by the residuals' variance and by how much neighbours err together.
+    """
+    channels = level.left.shape[2]
+    pixels = np.ascontiguousarray(pixels[::max(1, len(pixels) * channels // MOST_PIXELS)])
+    rows = np.empty((len(pixels) * channels, 8))
+    gain, offset = np.ones(channels), np.zeros(channels)
+    R = np.ascontiguousarray(pair.R_rect_right)
+    plane, unit = plane.copy(), np.array([size, size, 1.0])
+    for iteration in range(iterations):
+        n = _texture_rows(plane, *uv0, pixels, *split[0], level.left, level.slope, level.right, labels[1], r, TEXTURE * level.slope_noise,
+                          pair.f_px, R, pair.right.K, gain, offset, rows)
+        if n < 60:
+            return None
+        x = rows[:n]
+        scale = 1.4826 * np.median(np.abs(x[:, 5])) + 1e-9
+        w = np.maximum(1 - (x[:, 5] / (4.7 * scale)) ** 2, 0) ** 2
+        channel = x[:, 4].astype(int)
+        J = np.zeros((n, 3 + 2 * channels))
+        J[:, :3] = x[:, :3] / unit
+        J[np.arange(n), 3 + channel], J[np.arange(n), 3 + channels + channel] = -x[:, 3], -1
+        A = (J * w[:, None]).T @ J
+        A[np.diag_indices_from(A)] += np.r_[np.full(3, 1e-9 * A[:3, :3].trace()), np.full(2 * channels, 1e-4 * w.sum())] + 1e-12
+        step = -np.linalg.solve(A, J.T @ (w * x[:, 5]))
+        limit = min(1.0, 2.0 / (np.abs(step[:3]).sum() + 1e-12))
+        plane = plane + limit * step[:3] / unit
+        gain, offset = gain + limit * step[3:3 + channels], offset + limit * step[3 + channels:]
+        if plane[0] > 0.9:
+            return None
+        if np.abs(step[:3]).sum() < 1e-3:
+            break
+    e = x[:, 5] + J @ step
+    s = 1.4826 * np.median(np.abs(e - np.median(e))) + 1e-9
+    mix = np.linalg.solve(A[3:, 3:], A[3:, :3])                       # what gain and offset take away
+    P = J[:, :3] - J[:, 3:] @ mix
+    information = (P * w[:, None]).T @ P
+    # Neighbours err together (smoothing, interpolation, what the plane does not explain): sums over tiles of 8 x 8 pixels show how much.
+    tile = np.unique((x[:, 7] // 8).astype(int) * 100000 + (x[:, 6] // 8).astype(int), return_inverse=True)[1]
+    if tile.max() < 5:
+        return None
+    scores = np.stack([np.bincount(tile, w * e * P[:, k]) for k in range(3)], axis=1)
+    together = np.einsum("ti,ij,tj", scores, np.linalg.pinv(information), scores) / 3 * len(scores) / (len(scores) - 3)
+    return plane, information / max(together, s * s)
+
+
 # -- from measurements to facets
 
 @dataclass(frozen=True, eq=False)
@@ -410,21 +532,23 @@ class Refused:
 
 LEAST_OVERLAP = 0.6
 LEAST_POINTS = 12                 # of the border or of the texture
-MOST_TILT = 0.3                   # rad: the normal must be known better than this, and the distance better than this part of it
+MOST_TILT = 0.2                   # rad: the normal must be known better than this, and the distance better than this part of it
 
 
 def reconstruct(pair, labels, values, left, right, *, iterations=30, progress=None):
     """Facets and Refused of the pairs (left[k], right[k]). labels, values : of the left and the right photograph."""
     regions = [matching.regions(pair, *x) for x in zip(labels, values, ("left", "right"))]
-    edges = [borders(pair, x, v, wanted, side, noise(v, x)) for x, v, wanted, side in zip(labels, values, (left, right), ("left", "right"))]
+    sigma = [noise(v, x) for v, x in zip(values, labels)]
+    edges = [borders(pair, x, v, wanted, side, s) for x, v, wanted, side, s in zip(labels, values, (left, right), ("left", "right"), sigma)]
+    uv = [pair.rectified(c.pixels(), side) for c, side in ((pair.left, "left"), (pair.right, "right"))]
+    split = [tuple(np.ascontiguousarray(x[..., k]) for k in (0, 1)) for x in uv]
+    levels = _levels(pair, values, sigma[0])
     measured = []
     for done, (l, r) in enumerate(zip(left, right), 1):
-        measured.append(_measure(pair, labels[0], regions, edges, int(l), int(r), iterations))
+        measured.append(_measure(pair, labels, regions, edges, levels, split, int(l), int(r), iterations))
         if progress:
             progress(done / len(left))
     sigma_side = _side_sigma([x for x in measured if not isinstance(x, str)])
-    uv = [pair.rectified(c.pixels(), side) for c, side in ((pair.left, "left"), (pair.right, "right"))]
-    split = [tuple(np.ascontiguousarray(x[..., k]) for k in (0, 1)) for x in uv]
     found, refused = [], []
     for l, r, x in zip(left, right, measured):
         answer = x if isinstance(x, str) else _facet(pair, labels, values, regions, split, int(l), int(r), x, sigma_side)
@@ -457,9 +581,11 @@ class _Measured:
     square: float
     points: int
     rms_px: float
+    rows: np.ndarray
+    texture: tuple = None
 
 
-def _measure(pair, labels, regions, edges, l, r, iterations):
+def _measure(pair, labels, regions, edges, levels, split, l, r, iterations):
     """_Measured, or why not."""
     start, agree, n = matching.outline_plane(*regions, l - 1, r - 1)
     if n < 6:
@@ -469,29 +595,64 @@ def _measure(pair, labels, regions, edges, l, r, iterations):
         return "no border inside the picture"
     u0, v0 = mine[0].mean(axis=0)
     size = float(max(np.sqrt(mine[0].var(axis=0).sum()), 1.0))
+    q = edges[0].q[edges[0].first[l]:edges[0].first[l + 1]]
+    part = _parts(labels[0], l, q)
+    start = start + [0, 0, start[0] * u0 + start[1] * v0]
+    contours = _contours(start, (u0, v0), size, mine, other, part, 4.0, iterations)
+
+    # Texture: wherever no well located border is near, for that is measured already.
+    located = contours.rows if contours else np.empty((0, 8))
+    pixels = regions[0].order[regions[0].first[l - 1]:regions[0].first[l]]
+    pixels = _away(labels[0].shape, pixels, q[mine[3] < 0.5])
+    plane = contours.plane if contours else start
+    texture = None
+    for level in levels:
+        texture = _texture(pair, level, split, labels, l, r, pixels, plane, (u0, v0), size, 15)
+        if texture is None:
+            break
+        plane = texture[0]
+    if contours is None and texture is None:
+        return "borders do not meet"
+    x = contours or _Measured(plane, np.array([u0, v0]), size, np.zeros((3, 3)), np.zeros(3), np.zeros((1, 3)), np.zeros(1), np.zeros(1), 0.0, 0, 0.0, located)
+    if texture is not None:
+        x = replace(x, A=x.A + texture[1], b=x.b + texture[1] @ ((x.plane - texture[0]) * [size, size, 1]), texture=texture)
+    return x
+
+
+def _away(shape, pixels, q):
+    """Those of the pixels (indices) that are at least 4 px from all q (n, 2)."""
+    import cv2
+
+    near = np.zeros(shape, np.uint8)
+    i = np.round(q).astype(int)
+    near[i[:, 1].clip(0, shape[0] - 1), i[:, 0].clip(0, shape[1] - 1)] = 1
+    near = cv2.dilate(near, np.ones((7, 7), np.uint8))
+    return pixels[near.ravel()[pixels] == 0]
+
+
+def _contours(plane, uv0, size, mine, other, part, reach, iterations):
+    """_Measured from the borders alone; None where they do not meet."""
     rows = np.empty((len(mine[0]), 8))
-    part = _parts(labels, l, edges[0].q[edges[0].first[l]:edges[0].first[l + 1]])
     n_parts = int(part.max()) + 1
-    plane, scale, n = _fit_contours(start + [0, 0, start[0] * u0 + start[1] * v0], u0, v0, size, 4.0, iterations, (*mine, part), other, rows)
+    plane, scale, n = _fit_contours(plane, *uv0, size, reach, iterations, (*mine, part), other, rows)
     for reach in (6.0, 3.0, 1.5):
-        n = _contour_rows(plane, u0, v0, reach, 1.0, *mine, part, *other, rows)
+        n = _contour_rows(plane, *uv0, reach, 1.0, *mine, part, *other, rows)
         own = _own_parts(rows[:n], n_parts, size)
         if own is None:
-            break
+            return None
         plane = plane + own[1]
-    if own is not None:
-        keep = own[0][part]
-        mine, part = tuple(np.ascontiguousarray(x[keep]) for x in mine), part[keep]
-    plane, scale, n = _fit_contours(plane, u0, v0, size, 1.0, iterations, (*mine, part), other, rows)
+    keep = own[0][part]
+    mine, part = tuple(np.ascontiguousarray(x[keep]) for x in mine), part[keep]
+    plane, scale, n = _fit_contours(plane, *uv0, size, 1.0, iterations, (*mine, part), other, rows)
     rows = rows[:n][rows[:n, 4] > 0.1]
     if len(rows) < LEAST_POINTS:
-        return "borders do not meet"
+        return None
     J, e, w = rows[:, :3] / [size, size, 1] / scale, rows[:, 3] / scale, rows[:, 4]
     part, one = rows[:, 6].astype(int), 1 / rows[:, 7] / scale
     sums = lambda x: np.bincount(part, w * x, n_parts)
-    return _Measured(plane, np.array([u0, v0]), size, (J * w[:, None]).T @ J, J.T @ (w * e), np.stack([sums(J[:, p] * one) for p in range(3)], axis=1),
+    return _Measured(plane, np.array(uv0), size, (J * w[:, None]).T @ J, J.T @ (w * e), np.stack([sums(J[:, p] * one) for p in range(3)], axis=1),
                      sums(one * one), sums(one * e), float((w * e * e).sum()), len(rows),
-                     float(np.sqrt((w * (rows[:, 3] * rows[:, 7]) ** 2).sum() / w.sum())))
+                     float(np.sqrt((w * (rows[:, 3] * rows[:, 7]) ** 2).sum() / w.sum())), rows)
 
 
 def _with_sides(x, sigma_side):

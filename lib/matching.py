@@ -54,6 +54,12 @@ class Stereo:
         z = np.where(v[..., 2] > STEEP * np.linalg.norm(v, axis=-1), v[..., 2], np.nan)
         return self.f_px * v[..., :2] / z[..., None]
 
+    def photograph(self, uv, side):
+        """(..., 2) px rectified -> (..., 2) px of the photograph: the inverse of `rectified`."""
+        camera, R = (self.left, self.R_rect_left) if side == "left" else (self.right, self.R_rect_right)
+        p = np.concatenate([uv / self.f_px, np.ones((*uv.shape[:-1], 1))], axis=-1) @ R @ camera.K.T
+        return p[..., :2] / p[..., 2:]
+
 
 def stereo(left, right) -> Stereo:
     """The pair's geometry. ValueError where the two cameras have the same centre: nothing can be known of depth."""
