@@ -10,6 +10,7 @@ Levenberg-Marquardt steps with a robust loss. From coarse pictures to fine ones,
 The paper moves the corners of facets onto the corners of their regions by plain gradient descent: method "paper".
 """
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -57,15 +58,19 @@ class Refined:
 # The photographs, as the search needs them.
 
 SMOOTH_PX = 0.8
+STEP_PX, CREASE_PX = 0.1, 0.7           # what places of edges are worth at best: steps, and corners where only shading changes
 
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """A photograph reduced `factor` times: smoothed, in approximately linear light. noise : of the difference over one pixel"""
+    """A photograph reduced `factor` times: smoothed, in approximately linear light. noise : of the contrast between pixels two apart;
+    dark : light below which contrasts fade; white : light that is clipped"""
 
     picture: np.ndarray
     factor: int
     noise: float
+    dark: float
+    white: float
 
 
 def _pyramid(photograph, coarsest):
@@ -74,18 +79,17 @@ def _pyramid(photograph, coarsest):
 
     values = photograph.values
     if photograph.linear:
-        values = np.clip(values / max(float(np.percentile(values, 99)), 1e-12), 0, 2)
+        values, white = values / max(float(np.percentile(values, 99)), 1e-12), math.inf
     else:
-        values = values ** 2.2
+        values, white = values ** 2.2, 0.95                                     # beside what is clipped an edge looks moved
     levels, factor = {}, 1
     picture = np.ascontiguousarray(values, np.float32)
+    dark = 0.05 * float(picture.mean()) + 1e-6                                  # contrasts are measured against light, and this
     while True:
-        smooth = cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX)
-        smooth = smooth.reshape(*picture.shape[:2], -1)
-        # the square root makes dark edges count: it changes places of edges little once they are smooth
-        difference = smooth[:, 2:] - smooth[:, :-2]
-        noise = float(np.median(np.linalg.norm(difference, axis=2))) if difference.size else 0.0
-        levels[factor] = _Level(smooth, factor, max(noise, 1e-4))
+        smooth = cv2.GaussianBlur(picture, (0, 0), SMOOTH_PX).reshape(*picture.shape[:2], -1)
+        contrast = np.linalg.norm(smooth[:, 2:] - smooth[:, :-2], axis=2) / (np.linalg.norm(smooth[:, 1:-1], axis=2) + dark)
+        noise = float(np.median(contrast)) if contrast.size else 0.0
+        levels[factor] = _Level(smooth, factor, max(noise, 1e-3), dark, white)
         factor *= 2
         if factor > coarsest or min(picture.shape[:2]) < 80:
             return levels
@@ -147,7 +151,8 @@ def visible_samples(model, edges, camera, factor=1, step_px=4.0, reach=8) -> Sam
     """Samples every step_px along the edges that the camera sees, in pixels of the picture reduced `factor` times."""
     K = np.array([[1 / factor, 0, 0.5 / factor - 0.5], [0, 1 / factor, 0.5 / factor - 0.5], [0, 0, 1]]) @ camera.K
     small = Camera(K, camera.width // factor, camera.height // factor, camera.T_cam_world)
-    facet = _draw(model, small).facet
+    index = _draw(model, small)
+    facet = index.facet
     a, b = camera.points(edges.a), camera.points(edges.b)
     # the part before the camera and inside the picture: five half-spaces, linear along the edge
     W, H = small.width, small.height
@@ -193,8 +198,39 @@ def visible_samples(model, edges, camera, factor=1, step_px=4.0, reach=8) -> Sam
         shown.append(first)
     own = edges.facets[e][owner]
     mine = [(own == side[:, None]).any(axis=1) & (side >= 0) for side in shown]
+    clear = np.minimum(clear, _alone(q, normal, owner, 1 / np.maximum(_inverse(t, za, zb, owner), 1e-300), index.depth, reach))
     seen = (shown[0] != shown[1]) & (mine[0] | mine[1]) & (clear >= 1)
     return Samples(p[seen], q[seen], normal[seen], e[owner][seen], clear[seen])
+
+
+def _inverse(t, za, zb, owner):
+    """1/z along the edges: linear in the picture."""
+    return (1 - t) / za[owner, 2] + t / zb[owner, 2]
+
+
+def _alone(q, normal, edge, z, depth, reach):
+    """(N,) px: how far from another edge that may be seen, across; slivers too thin for the index buffer have edges too. Edges on one line count as one."""
+    import cv2
+    from scipy.spatial import cKDTree
+
+    H, W = depth.shape
+    furthest = cv2.dilate(np.where(depth > 0, depth, np.inf), np.ones((3, 3), np.uint8))
+    at = np.clip(np.rint(q).astype(int), 0, [W - 1, H - 1])
+    front = np.flatnonzero(z <= furthest[at[:, 1], at[:, 0]] * 1.02)
+    alone = np.full(len(q), float(reach))
+    if len(front) == 0:
+        return alone
+    pairs = cKDTree(q[front]).query_pairs(min(reach, 6.0), output_type="ndarray")
+    i, j = front[pairs[:, 0]], front[pairs[:, 1]]
+    other = edge[i] != edge[j]
+    i, j = i[other], j[other]
+    for a, b in ((i, j), (j, i)):
+        gap = q[b] - q[a]
+        across = np.abs(np.einsum("ij,ij->i", gap, normal[a]))
+        along = np.abs(gap[:, 0] * normal[a, 1] - gap[:, 1] * normal[a, 0])
+        near = (across > 0.3) & (along < 3)
+        np.minimum.at(alone, a[near], across[near])
+    return alone
 
 
 # What the photograph shows.
@@ -216,9 +252,10 @@ def _find(level, q, normal, reach):
     change = profile[:, 4:] - profile[:, :-4]                                   # over two pixels, at o[2:-2]
     M = np.linalg.norm(change, axis=2)                                          # (N, 2 half + 1)
     inner = o[2:-2]
+    contrast = M / (np.linalg.norm(profile[:, 2:-2], axis=2) + level.dark)
     peak = np.zeros_like(M, bool)
-    peak[:, 1:-1] = (M[:, 1:-1] >= M[:, :-2]) & (M[:, 1:-1] > M[:, 2:]) & (M[:, 1:-1] > 5 * level.noise)
-    merit = np.where(peak, np.sqrt(M) * np.exp(-0.5 * (inner / (0.6 * reach + 0.5)) ** 2), 0)
+    peak[:, 1:-1] = (M[:, 1:-1] >= M[:, :-2]) & (M[:, 1:-1] > M[:, 2:]) & (contrast[:, 1:-1] > 4 * level.noise)
+    merit = np.where(peak, np.sqrt(contrast) * np.exp(-0.5 * (inner / (0.6 * reach + 0.5)) ** 2), 0)
     if len(M) == 0:
         return np.zeros(0), np.zeros(0), np.zeros(0)
     best = merit.argmax(axis=1)
@@ -229,7 +266,74 @@ def _find(level, q, normal, reach):
     bend = left - 2 * middle + right
     offset = inner[k] + step * np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
     other = np.where(np.abs(inner[None] - inner[best][:, None]) > 1.5, merit, 0).max(axis=1)
-    return offset, np.where(won > 0, M[i, best], 0), np.where(won > 0, other / np.where(won > 0, won, 1), 1)
+    return offset, np.where(won > 0, contrast[i, best], 0), np.where(won > 0, other / np.where(won > 0, won, 1), 1)
+
+
+def _locate(level, q, normal, clear, ramp=1.0):
+    """Along each normal, within 2 px: (offset, sigma px, strength), strength 0 where there is no edge to be placed.
+
+    The profile is compared with every step and crease: a + b x + c S(x - x0) + d R(x - x0), S a step and R a ramp as blurred as the
+    picture; where two walls meet light falls off towards both, and the greatest change lies a pixel beside the corner. Least squares
+    over all channels, x0 by a parabola; sigma from the curvature. The window is as wide as the edge is alone.
+    """
+    import cv2
+
+    N = len(q)
+    offset, sigma, strength = np.zeros(N), np.full(N, np.inf), np.zeros(N)
+    if N == 0:
+        return offset, sigma, strength
+    step = 0.5
+    o = step * np.arange(-8, 9)
+    at = q[:, None] + o[None, :, None] * normal[:, None]
+    profile = np.concatenate([cv2.remap(level.picture, part[..., 0].astype(np.float32), part[..., 1].astype(np.float32), cv2.INTER_LINEAR,
+                                        borderMode=cv2.BORDER_REPLICATE).reshape(len(part), len(o), -1) for part in np.array_split(at, N // 8000 + 1)])
+    profile = profile.transpose(0, 2, 1).astype(float)                          # (N, C, L)
+    for width, low, high in ((4, 4, math.inf), (3, 3, 4), (2, 1.8, 3)):
+        mine = np.flatnonzero((clear >= low) & (clear < high))
+        if len(mine) == 0:
+            continue
+        inside = np.abs(o) <= width
+        Q, x0 = _templates(width, ramp, step)
+        y = profile[mine][:, :, inside]
+        light = np.linalg.norm(y.mean(axis=2), axis=1) + level.dark
+        y = y / light[:, None, None]
+        whole = (y ** 2).sum(axis=(1, 2))
+        plain = np.linalg.qr(np.column_stack([np.ones(inside.sum()), o[inside]]))[0]
+        straight = ((y @ plain) ** 2).sum(axis=(1, 2))
+        parts = ((y.reshape(-1, y.shape[2]) @ Q).reshape(len(mine), y.shape[1], len(x0), 4) ** 2).sum(axis=1)
+        explained = parts.sum(axis=2)
+        best = explained.argmax(axis=1)
+        k = np.clip(best, 1, len(x0) - 2)
+        i = np.arange(len(mine))
+        a, b, c = explained[i, k - 1], explained[i, k], explained[i, k + 1]
+        bend = a - 2 * b + c
+        d = x0[1] - x0[0]
+        freedom = y.shape[1] * (inside.sum() - 5)
+        noise = np.maximum((whole - b) / freedom, 1e-7) * 4                     # neighbours share their noise: interpolation, smoothing
+        good = (best == k) & (bend < 0) & (b - straight > 30 * noise) & (profile[mine][:, :, inside].max(axis=(1, 2)) < level.white)
+        bend = np.where(good, bend, -1)
+        offset[mine] = x0[k] + np.where(good, np.clip(0.5 * (a - c) / bend, -1, 1) * d, 0)
+        # A step is where it is; a crease is what light makes of it, and light curves.
+        crease = 1 - np.clip(parts[i, k, 3] / np.maximum(b - straight, 1e-12), 0, 1)
+        sigma[mine] = np.where(good, np.sqrt(2 * noise / (-bend / d ** 2) + (CREASE_PX * crease) ** 2), np.inf)
+        strength[mine] = np.where(good, np.sqrt(np.maximum(b - straight, 0)), 0)
+    return offset, sigma, strength
+
+
+@functools.lru_cache(maxsize=8)
+def _templates(width, ramp, step):
+    """(L, 4 K) orthonormal bases for the K places x0, and the places."""
+    from scipy.special import ndtr
+
+    o = step * np.arange(-2 * width, 2 * width + 1)
+    x0 = 0.25 * np.arange(-4 * min(width - 1, 2), 4 * min(width - 1, 2) + 1)
+    bases = []
+    for place in x0:
+        x = o - place
+        S = ndtr(x / ramp)
+        R = x * S + ramp * np.exp(-0.5 * (x / ramp) ** 2) / math.sqrt(2 * math.pi)
+        bases.append(np.linalg.qr(np.column_stack([np.ones_like(x), x, R, S]))[0])
+    return np.concatenate(bases, axis=1), x0
 
 
 # Levenberg-Marquardt on one set of correspondences.
@@ -278,7 +382,18 @@ def _step(T, scale, delta):
     return moved(T, delta), scale * math.exp(min(max(delta[6], -0.5), 0.5)) if len(delta) == 7 else scale
 
 
-def _solve(rig, T, scale, found, sigma, free, prior=None, iterations=6):
+WITNESS = 10           # samples that share their error, about
+
+
+def _gap(prior, T, scale, size):
+    """(size,): the step from the prior's pose to this one."""
+    _, T0, scale0 = prior
+    D = T @ np.linalg.inv(T0)
+    gap = rt_from_matrix(D)
+    return np.append(gap, math.log(scale / scale0)) if size == 7 else gap
+
+
+def _solve(rig, T, scale, found, sigma, free, prior, iterations=6):
     """LM on correspondences: found = [(p, q, normal, offset, weight)] per side; Geman-McClure loss of width 2 sigma. prior : (H, T0, scale0) or None.
 
     Returns T, scale, and per side residuals and robust weights, and the normal matrix."""
@@ -287,6 +402,9 @@ def _solve(rig, T, scale, found, sigma, free, prior=None, iterations=6):
 
     def linearise(T, scale, jacobian):
         H, b, cost, parts = np.zeros((size, size)), np.zeros(size), 0.0, []
+        if prior is not None:
+            gap = _gap(prior, T, scale, size)
+            H, b, cost = WITNESS * sigma ** 2 * prior[0], WITNESS * sigma ** 2 * prior[0] @ gap, WITNESS * sigma ** 2 * gap @ prior[0] @ gap
         for side, (p, q, normal, offset, weight) in enumerate(found):
             if jacobian:
                 now, dq = _project(rig, side, T, scale, p, True, free)
@@ -325,47 +443,39 @@ def _solve(rig, T, scale, found, sigma, free, prior=None, iterations=6):
 
 # The method.
 
-def _edges_method(model, edges, rig, pyramids, T, scale, free, start_px, trace, step, fine=True):
-    """From coarse to fine; appends to trace; returns T, scale and the last _Fit."""
-    factor = 1
-    while 8 * factor < start_px and 2 * factor in pyramids[0]:
-        factor *= 2
-    schedule = []
-    while factor > 1:
-        schedule += [(factor, 8.0), (factor, 5.0)]
-        factor //= 2
-    schedule += [(1, 8.0), (1, 5.0), (1, 3.0)]
-    if fine:
-        schedule += [(1, 2.0)] * 2
-    last = None
+def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, prior=None):
+    """Runs a schedule of (factor, reach): appends to trace; returns T, scale and the last _Fit, or None where there were too few samples."""
+    last, before = None, None
     for number, (factor, reach) in enumerate(schedule):
-        most = 12 if number == len(schedule) - 1 else 5
-        drawn = None
-        for iteration in range(most):
+        final = number == len(schedule) - 1
+        samples, drawn = None, None
+        for _ in range(12 if final else 4):
             cameras = rig.cameras(T, scale)
             if drawn is None or _moved_px(rig, drawn, T, scale) > 0.3 * factor:
-                samples = [visible_samples(model, edges, camera, factor, step_px=3.0, reach=int(reach) + 1) for camera in cameras]
+                samples = [visible_samples(model, edges, camera, factor, step_px=3.0, reach=max(int(reach) + 1, 5)) for camera in cameras]
                 drawn = (T, scale)
             found, at = [], []
-            for side, (camera, s) in enumerate(zip(cameras, samples)):
-                level = pyramids[side][factor]
+            for side, s in enumerate(samples):
                 q_full = _project(rig, side, T, scale, s.p)
-                q = (q_full + 0.5) / factor - 0.5
-                offset, strength, doubt = _find(level, q, s.normal, reach)
-                limit = np.minimum(reach, np.maximum(s.clear, 1.5)) if factor == 1 and reach <= 3 else reach
-                good = (strength > 0) & (np.abs(offset) < limit) & (doubt < 0.9)
-                weight = (1 - doubt ** 2) * np.minimum(s.clear / 3, 1)
+                if reach > 2:
+                    offset, strength, doubt = _find(pyramids[side][factor], (q_full + 0.5) / factor - 0.5, s.normal, reach)
+                    good = (strength > 0) & (np.abs(offset) < reach) & (doubt < 0.9)
+                    weight = (1 - doubt ** 2) * np.minimum(s.clear / 3, 1)
+                else:
+                    offset, spread, strength = _locate(pyramids[side][1], q_full, s.normal, s.clear)
+                    good = (strength > 0) & (spread < 1)
+                    weight = STEP_PX ** 2 / (STEP_PX ** 2 + spread ** 2)
                 found.append((s.p[good], q_full[good], s.normal[good], factor * offset[good], weight[good]))
                 at.append((s.edge[good], len(s.q)))
             r = np.concatenate([f[3] for f in found])
             if len(r) < 20:
-                return T, scale, last
+                return T, scale, None
             sigma = max(1.4826 * float(np.median(np.abs(r))), 0.08 * factor)
-            before = T
-            T, scale, H, parts = _solve(rig, T, scale, found, sigma, free)
-            last = _Fit(H, parts, at, sigma, sum(n for _, n in at))
-            trace.append({"iteration": len(trace), "step": step, "error_px": _rms(parts), "factor": factor, "samples": len(r), "rt_cam_world": rt_from_matrix(T)})
-            if _moved_px(rig, (before, scale), T, scale) < (0.02 if number == len(schedule) - 1 else 0.1) * factor:
+            before = (T, scale)
+            T, scale, H, parts = _solve(rig, T, scale, found, sigma, free, prior if factor > 1 or reach > 5 else None)
+            last = _Fit(H, parts, at)
+            trace.append({"iteration": len(trace), "step": "refined", "error_px": _rms(parts), "factor": factor, "samples": len(r), "rt_cam_world": rt_from_matrix(T)})
+            if _moved_px(rig, before, T, scale) < (0.01 if final else 0.1) * factor:
                 break
     return T, scale, last
 
@@ -375,8 +485,6 @@ class _Fit:
     H: np.ndarray
     parts: list
     at: list
-    sigma: float
-    predicted: int
 
 
 def _rms(parts):
@@ -445,8 +553,9 @@ def refine(model, sides, found, *, method="edges", certain=8.0) -> Refined:
     free = found.poses[0].covariance.shape == (7, 7)
     edges = model_edges(model)
     results = []
+    pyramids = [_pyramid(side.photograph, 16) for side in sides]
     for pose in found.poses[:6]:
-        results.append(_refine_one(model, edges, rig, sides, pose, free, method))
+        results.append(_refine_one(model, edges, rig, sides, pyramids, pose, free, method))
     order = sorted(range(len(results)), key=lambda k: -results[k].evidence)
     best = results[order[0]]
     others = [k for k in order[1:] if results[k].evidence > best.evidence - certain and not _near(results[k].cameras[0], best.cameras[0], found.poses[order[0]])]
@@ -466,15 +575,24 @@ def _rig(sides):
     return _Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides))
 
 
-def _refine_one(model, edges, rig, sides, pose, free, method):
-    T, scale = pose.T, pose.scale
-    start_px = _start_px(rig, pose)
-    pyramids = [_pyramid(side.photograph, 16) for side in sides]
-    trace = [{"iteration": 0, "step": "linear", "error_px": None, "rt_cam_world": rt_from_matrix(pose.linear)}]
-    T, scale, fit = _edges_method(model, edges, rig, pyramids, T, scale, free, start_px, trace, "refined")
+def _refine_one(model, edges, rig, sides, pyramids, pose, free, method):
+    """The pose refined from several coarsenesses; that which the photographs support most."""
+    start = {"iteration": 0, "step": "linear", "error_px": None, "rt_cam_world": rt_from_matrix(pose.linear)}
+    prior = (np.linalg.inv(9 * pose.covariance), pose.T, pose.scale)
+    wanted, factor, tried = _start_px(rig, pose), 1, []
+    while True:
+        schedule = [(f, reach) for f in (16, 8, 4, 2, 1) if f <= factor for reach in (8.0, 5.0)]
+        trace = [start]
+        T, scale, fit = _edges_method(model, edges, rig, pyramids, pose.T, pose.scale, free, schedule, trace, prior)
+        tried.append((_evidence(model, edges, rig, pyramids, T, scale)[2], T, scale, trace))
+        factor *= 2
+        if factor not in pyramids[0] or 4 * factor > wanted:
+            break
+    _, T, scale, trace = max(tried, key=lambda t: t[0])
+    T, scale, fit = _edges_method(model, edges, rig, pyramids, T, scale, free, [(1, 3.0), (1, 2.0)], trace)
     support, chance, evidence = _evidence(model, edges, rig, pyramids, T, scale)
     covariance = _covariance(fit)[:6, :6] if fit is not None else pose.covariance[:6, :6]
-    return Refined(rig.cameras(T, scale), covariance, scale, _rms(fit.parts) if fit else float("nan"), support, chance, evidence, trace)
+    return Refined(rig.cameras(T, scale), covariance, scale, _rms(fit.parts) if fit else None, support, chance, evidence, trace)
 
 
 def _start_px(rig, pose):
