@@ -97,7 +97,12 @@ def _borders(labels, values, wanted, noise):
                 if along < 0.6:                                       # the other axis crosses it more steeply
                     continue
                 # Outside: the first label that lasts; thin slivers on the edge belong to the transition.
-                start = 0
+                start, notch = 0, False
+                for t in range(2, REACH + 1):
+                    yy, xx = y + t * dy, x + t * dx
+                    notch |= 0 <= yy < height and 0 <= xx < width and labels[yy, xx] == label
+                if notch:                                             # a ragged border counts once per line, at its outermost pixel
+                    continue
                 for t in range(1, REACH + 1):
                     yy, xx = y + t * dy, x + t * dx
                     y2, x2 = yy + dy, xx + dx
@@ -121,7 +126,7 @@ def _borders(labels, values, wanted, noise):
                         area, count, whole = 0.0, 0, True
                         for t in range(1 - REACH, start + REACH):
                             yy, xx = y + t * dy, x + t * dx
-                            if not (0 <= yy < height and 0 <= xx < width) or (t < 0 and labels[yy, xx] != label) or (t >= start and labels[yy, xx] != other):
+                            if not (0 <= yy < height and 0 <= xx < width) or (labels[yy, xx] != label and labels[yy, xx] != other and not 0 < t < start):
                                 whole = False
                                 break
                             f = 0.0
@@ -140,7 +145,7 @@ def _borders(labels, values, wanted, noise):
                         if whole:
                             located = 0.5 - REACH + area
                             spread = noise * np.sqrt((count + REACH ** 2 * (1 / n_in + 1 / n_out)) / contrast)
-                            if spread < 0.5 and -1.5 < located - 0.5 * (1 + start) + 0.5 < 1.5:
+                            if spread < 0.75 * WEAK and abs(located - 0.5 * start) < 2:
                                 at, error = located, spread if start == 1 else max(spread, 0.5)     # a sliver may be a surface of its own
                 point[n, 0], point[n, 1] = x + at * dx, y + at * dy
                 normal[n, 0], normal[n, 1] = gx, gy
@@ -151,18 +156,18 @@ def _borders(labels, values, wanted, noise):
 
 @njit(cache=True)
 def _straighten(uv, normal, first):
-    """Normals from the line through each point's neighbours within 4 px, and how far those lie off it (px, rms)."""
+    """Normals from the line through each point's neighbours within 5 px, and how far those lie off it (px, rms)."""
     off = np.full(len(uv), np.inf)
     better = normal.copy()
     for i in range(len(first) - 1):
         for k in range(first[i], first[i + 1]):
             n, su, sv, suu, suv, svv = 0, 0.0, 0.0, 0.0, 0.0, 0.0
             j = k
-            while j > first[i] and uv[j - 1, 1] > uv[k, 1] - 4:
+            while j > first[i] and uv[j - 1, 1] > uv[k, 1] - 5:
                 j -= 1
-            while j < first[i + 1] and uv[j, 1] < uv[k, 1] + 4:
+            while j < first[i + 1] and uv[j, 1] < uv[k, 1] + 5:
                 du, dv = uv[j, 0] - uv[k, 0], uv[j, 1] - uv[k, 1]
-                if du * du + dv * dv < 16 and normal[j, 0] * normal[k, 0] + normal[j, 1] * normal[k, 1] > 0.7:
+                if du * du + dv * dv < 25 and normal[j, 0] * normal[k, 0] + normal[j, 1] * normal[k, 1] > 0.7:
                     n += 1
                     su += du
                     sv += dv
@@ -225,18 +230,14 @@ def borders(pair, labels, values, wanted, side, noise) -> Borders:
 
 
 def noise(values, labels):
-    """Standard deviation of the picture's noise, from second differences inside the regions; at least an 8-bit rounding."""
-    flat = np.ones(labels.shape, bool)
-    flat[:, 1:] &= labels[:, 1:] == labels[:, :-1]
-    flat[1:] &= labels[1:] == labels[:-1]
-    flat[:, :-1] &= flat[:, 1:]
-    flat[:-1] &= flat[1:]
-    second = lambda x: x[:-2] - 2 * x[1:-1] + x[2:]
-    cross = second(np.moveaxis(second(values), 1, 0))                 # [1 -2 1] in both directions: variance 36
-    cross = np.moveaxis(cross, 1, 0)[flat[1:-1, 1:-1]]
-    if len(cross) < 100:
-        return 1 / 255
-    return float(max(1.4826 * np.median(np.abs(cross)) / 6, 1 / 255 / np.sqrt(12)))
+    """Standard deviation of the picture's noise, from differences of pixels 3 apart in one region; at least an 8-bit rounding.
+
+    Not from neighbours: resampled and compressed pictures have noise that neighbours share.
+    """
+    pairs = [(values[:, 3:] - values[:, :-3])[labels[:, 3:] == labels[:, :-3]], (values[3:] - values[:-3])[labels[3:] == labels[:-3]]]
+    difference = np.abs(np.concatenate(pairs))
+    least = 1 / 255 / np.sqrt(12)
+    return float(max(1.4826 * np.median(difference) / np.sqrt(2), least)) if len(difference) > 100 else 1 / 255
 
 
 # -- contours
@@ -264,7 +265,7 @@ def _contour_rows(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, lpar
             if d < best and rnormal[j, 0] * lnormal[k, 0] + rnormal[j, 1] * lnormal[k, 1] > 0.9:
                 best, at = d, j
             j += 1
-        if at < 0 or max(lbend[k], rbend[at]) > 0.5:
+        if at < 0 or lbend[k] > max(0.5, 3 * lsigma[k]) or rbend[at] > max(0.5, 3 * rsigma[at]):
             continue
         nu, nv = rnormal[at, 0], rnormal[at, 1]
         du, dv = u - ruv[at, 0], v - ruv[at, 1]
@@ -344,7 +345,7 @@ def _own_parts(rows, n_parts, size):
     either agrees with the facet's plane or has *more* disparity; no border can lie behind. Every two and three parts propose a plane; the
     one wins with which most of the border, as seen across the epipolar lines, agrees, less what would lie behind.
     """
-    strong = rows[:, 7] < 1.0
+    strong = rows[:, 7] < WEAK
     part = rows[:, 6].astype(int)
     J = rows[:, :3] * rows[:, 7:8] / [size, size, 1]
     r, nu = rows[:, 3] * rows[:, 7], rows[:, 5]
@@ -603,7 +604,7 @@ def _measure(pair, labels, regions, edges, levels, split, l, r, iterations):
     # Texture: wherever no well located border is near, for that is measured already.
     located = contours.rows if contours else np.empty((0, 8))
     pixels = regions[0].order[regions[0].first[l - 1]:regions[0].first[l]]
-    pixels = _away(labels[0].shape, pixels, q[mine[3] < 0.5])
+    pixels = _away(labels[0].shape, pixels, q[mine[3] < np.maximum(0.5, 3 * mine[2])])
     plane = contours.plane if contours else start
     texture = None
     for level in levels:
