@@ -146,7 +146,7 @@ def _borders(labels, values, wanted, noise):
                             located = 0.5 - REACH + area
                             spread = noise * np.sqrt((count + REACH ** 2 * (1 / n_in + 1 / n_out)) / contrast)
                             if spread < 0.75 * WEAK and abs(located - 0.5 * start) < 2:
-                                at, error = located, spread if start == 1 else max(spread, 0.5)     # a sliver may be a surface of its own
+                                at, error = located, spread if start == 1 else max(spread, 0.5 * WEAK)     # a sliver may be a surface of its own
                 point[n, 0], point[n, 1] = x + at * dx, y + at * dy
                 normal[n, 0], normal[n, 1] = gx, gy
                 sigma[n], owner[n], beyond[n] = error * along, label, other
@@ -532,6 +532,7 @@ class Refused:
 
 
 LEAST_OVERLAP = 0.6
+THIN = 5.0                        # px: of thinner regions both borders lie in one blur
 LEAST_POINTS = 12                 # of the border or of the texture
 MOST_TILT = 0.2                   # rad: the normal must be known better than this, and the distance better than this part of it
 
@@ -596,6 +597,8 @@ def _measure(pair, labels, regions, edges, levels, split, l, r, iterations):
         return "no border inside the picture"
     u0, v0 = mine[0].mean(axis=0)
     size = float(max(np.sqrt(mine[0].var(axis=0).sum()), 1.0))
+    if min(2 * x.pixels[k - 1] / max(e.first[k + 1] - e.first[k], 1) for x, e, k in zip(regions, edges, (l, r))) < THIN:
+        return "condition: too thin"
     q = edges[0].q[edges[0].first[l]:edges[0].first[l + 1]]
     part = _parts(labels[0], l, q)
     start = start + [0, 0, start[0] * u0 + start[1] * v0]
