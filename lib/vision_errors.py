@@ -1,7 +1,6 @@
 """What the vision half found against what is true: lenses, planes, disparities, pose.  Used by the comparison alone.
 
     pose.angle_deg, pose.centre_mm          rotation between the found and the true camera, distance of their centres
-    pose.in_sigmas                          sqrt(e' C^-1 e / 6) of the six-vector of differences, by the covariance that pose.json gives
     pose.vertices_px, pose.vertices_max_px  visible vertices of the model in the photograph's own pixels, each camera with its own lens: rms, worst
     lens.<side>.projection_px               rms distance between the two lenses' pixels of one direction, after the best common rotation
     lens.<side>.focal_relative              |f / f* - 1|
@@ -28,12 +27,11 @@ def angle_deg(R):
     return float(np.degrees(np.arctan2(s, (np.trace(R) - 1) / 2)))
 
 
-def pose(T, T_true, covariance=None):
+def pose(T, T_true):
     """[(name, value, unit)]; T : (4, 4) world to camera."""
     centre = lambda M: -M[:3, :3].T @ M[:3, 3]
-    out = [("pose.angle_deg", angle_deg(T[:3, :3] @ T_true[:3, :3].T), "deg"),
-           ("pose.centre_mm", float(1000 * np.linalg.norm(centre(T) - centre(T_true))), "mm")]
-    return out
+    return [("pose.angle_deg", angle_deg(T[:3, :3] @ T_true[:3, :3].T), "deg"),
+            ("pose.centre_mm", float(1000 * np.linalg.norm(centre(T) - centre(T_true))), "mm")]
 
 
 def vertices(project, project_true, T, T_true, model, depth=None, size=None):
@@ -48,7 +46,6 @@ def vertices(project, project_true, T, T_true, model, depth=None, size=None):
     q, q_true = project(p), project_true(p_true)
     W, H = size
     inside = np.isfinite(q).all(1) & np.isfinite(q_true).all(1) & (q_true > -0.5).all(1) & (q_true < [W - 0.5, H - 0.5]).all(1)
-    # a lens bends more than the plane can tell far outside the picture: only points near their straight place
     if depth is not None and inside.any():
         import cv2
         near = cv2.dilate(np.where(depth > 0, depth, np.inf).astype(np.float32), np.ones((5, 5), np.uint8))
@@ -135,3 +132,61 @@ def disparity(facets, left, right, regions, true):
         return [("disparity.covered", 0.0, "1")]
     e = np.abs(found[both] - true[both])
     return [("disparity.median_px", float(np.median(e)), "px"), ("disparity.bad_1px", float((e > 1).mean()), "1"), ("disparity.covered", float(np.isfinite(found).mean()), "1")]
+
+
+# ---- all of it ----
+
+def against_truth(found, true):
+    """[(stage, name, value, unit)] from what there is.
+
+    found, true : {"lens", "lens_right": lenses.Lens; "camera", "camera_right", "posed": Camera; "calibration", "pose", "facets": as in their files;
+    "regions", "facet": (H, W) labels; "depth", "disparity": (H, W); "model": Model}, each of which may be missing
+    """
+    out = []
+
+    def add(stage, rows):
+        out.extend((stage, *row) for row in rows)
+
+    def both(name):
+        return found.get(name) is not None and true.get(name) is not None
+
+    def relative_pose(cameras):
+        left, right = (cameras.get(name) for name in ("lens", "lens_right"))
+        return right.T_cam_ref @ np.linalg.inv(left.T_cam_ref) if left and right else None
+
+    for name, side in (("lens", "left"), ("lens_right", "right")):
+        if both(name):
+            a, b = found[name], true[name]
+            add("calibrate", lens(a.unproject, b.project, b.unproject, (b.width, b.height), side))
+            add("calibrate", [(f"lens.{side}.focal_relative", float(abs(a.K[0, 0] / b.K[0, 0] - 1)), "1")])
+    published = (true.get("calibration") or {}).get("cameras") or {}
+    for side, values in published.items():
+        mine = ((found.get("calibration") or {}).get("cameras") or {}).get(side)
+        if mine and "fx" in values:
+            add("calibrate", [(f"lens.{side}.focal_relative", abs(mine["fx"] / values["fx"] - 1), "1")])
+    baseline, mine = ((c.get("calibration") or {}).get("pair") or {} for c in (true, found))
+    if baseline.get("baseline_m") and mine.get("baseline_m"):
+        add("calibrate", [("pair.baseline_relative", abs(mine["baseline_m"] / baseline["baseline_m"] - 1), "1")])
+    T, T_true = relative_pose(found), relative_pose(true)
+    if T is not None and T_true is not None and np.linalg.norm(T[:3, 3]) > 0 and np.linalg.norm(T_true[:3, 3]) > 0:
+        add("calibrate", pair(T, T_true))
+
+    if true.get("disparity") is not None and found.get("facets") and all(found.get(n) is not None for n in ("camera", "camera_right", "regions")):
+        add("reconstruct", disparity(found["facets"]["facets"], found["camera"], found["camera_right"], found["regions"], true["disparity"]))
+    if true.get("posed") is None:
+        return out
+    T_true, model = true["posed"].T_cam_world, found.get("model")
+    if found.get("pose") is not None:
+        from lib.cameras import matrix_from_rt
+        T = matrix_from_rt(found["pose"]["rt_cam_world"])
+        add("recognise", pose(T, T_true))
+        if model is not None and found.get("posed") is not None:
+            # in the photograph's own pixels, each camera with its own lens; without lenses in the pinholes'
+            pinhole = lambda camera: lambda p: (p / p[:, 2:]) @ camera.K[:2].T
+            projects = [c["lens"].project if both("lens") else pinhole(c["posed"]) for c in (found, true)]
+            add("recognise", vertices(*projects, T, T_true, model, found.get("depth"), (true["posed"].width, true["posed"].height)))
+    if found.get("facets") and model is not None and all(found.get(n) is not None for n in ("facet", "regions")) and found["facet"].shape == found["regions"].shape:
+        size = (found.get("pose") or {}).get("scale") or 1.0
+        if found["facets"].get("unit") == "m" or (found.get("pose") or {}).get("scale"):
+            add("reconstruct", planes(found["facets"]["facets"], T_true, model, found["facet"], found["regions"], size))
+    return out

@@ -102,25 +102,67 @@ def _captioned(body, caption):
 # ---- the sections ----
 
 def _lenses(vision):
-    """What the lenses and the relative pose are good for, in words."""
+    """What the lenses and the relative pose are good for, in words; how uncertain a pixel is across each picture."""
     body, c, o = "", vision.calibration, vision.orientation
     if c:
-        verdict = c.get("verdict")
-        rows = []
+        rows, maps = [], []
         for side in SIDES:
-            camera = (c.get("cameras") or c).get(side)
-            if isinstance(camera, dict):
-                cells = [number(camera.get("fx"), 5), number(camera.get("fy"), 5), number(camera.get("cx"), 5), number(camera.get("cy"), 5)]
-                rows.append(f"<tr><th scope=row>{side}</th>" + "".join(f"<td class=num>{v}</td>" for v in cells) + f'<td class=num>{number(camera.get("rms"), 2)}</td></tr>')
-        table = ("<table class=plain><thead><tr><th scope=col></th>" + "".join(f"<th scope=col class=num>{h}</th>" for h in ("f<sub>x</sub> px", "f<sub>y</sub> px", "c<sub>x</sub> px", "c<sub>y</sub> px", "reprojection px"))
-                 + f"</tr></thead><tbody>{''.join(rows)}</tbody></table>") if rows else ""
-        body += (f"<p class=verdict>{esc(verdict)}</p>" if verdict else "") + table
+            camera = (c.get("cameras") or {}).get(side)
+            if not isinstance(camera, dict):
+                continue
+            views = f'{camera["boards"]} boards, {camera["corners"]} corners, {camera.get("outliers", 0)} of them outliers' if "boards" in camera else ""
+            cells = "".join(f'<td class=num data-label="{label}">{number(camera.get(key), digits)}</td>'
+                            for key, label, digits in (("fx", "fx, px", 5), ("fy", "fy, px", 5), ("cx", "cx, px", 5), ("cy", "cy, px", 5), ("rms_px", "reprojection, px", 2)))
+            rows.append(f'<tr><th scope=row>{side}</th><td data-label="lens">{esc(camera.get("lens", "").removeprefix("LENSMODEL_"))}</td>{cells}<td class="remark">{esc(views)}</td></tr>')
+            maps.append(_uncertain(camera, side))
+        heads = "".join(f"<th scope=col class=num>{h}</th>" for h in ("f<sub>x</sub>, px", "f<sub>y</sub>, px", "c<sub>x</sub>, px", "c<sub>y</sub>, px", "Reprojection, px"))
+        verdict = c.get("verdict") or ""
+        body += (f"<p class=verdict>{esc(verdict[:1].upper() + verdict[1:])}.</p>" if verdict else "") + (
+            f'<div class="scroll"><table class="cards"><thead><tr><th scope=col></th><th scope=col>Lens</th>{heads}<th scope=col></th></tr></thead><tbody>{"".join(rows)}</tbody></table></div>' if rows else "")
+        pair = c.get("pair") or {}
+        if _finite(pair.get("baseline_m")):
+            sigma = f" ± {number(1000 * pair['baseline_sigma_m'], 2)}" if _finite(pair.get("baseline_sigma_m")) else ""
+            angle = f", axes {number(pair['angle_deg'], 3)}° apart" if _finite(pair.get("angle_deg")) else ""
+            body += f"<p>The cameras stand {number(1000 * pair['baseline_m'], 5)}{sigma} mm apart{angle}.</p>"
+        maps = [m for m in maps if m]
+        body += (f'<div class="two even">{"".join(maps)}</div>' + _scale()) if maps else ""
     if o:
         facts = [f"{number(o.get('inliers'))} point matches"] if _finite(o.get("inliers")) else []
         facts += [f"{number(o['rms_px'], 2)} px rms"] if _finite(o.get("rms_px")) else []
         facts += [f"axes {number(o['angle_deg'], 3)}° apart"] if _finite(o.get("angle_deg")) else []
         body += f"<p>Relative pose from the photographs alone, up to scale: {', '.join(facts)}. The unit of length is the baseline; the model gives the scale.</p>"
     return _section("Lenses", body)
+
+
+LOW_PX, HIGH_PX = 0.03, 10.0          # ends of the scale of uncertainty, logarithmic
+RAMP = np.array([[226, 240, 239], [150, 205, 200], [240, 206, 130], [222, 120, 60], [130, 30, 40]], float)
+
+
+def _ramp(sigma):
+    """Uncertainty in pixels (any shape) as colours; unknown is grey."""
+    known = np.isfinite(sigma)
+    at = np.clip(np.log(np.where(known, sigma, 1) / LOW_PX) / np.log(HIGH_PX / LOW_PX), 0, 1) * (len(RAMP) - 1)
+    low = np.minimum(at.astype(int), len(RAMP) - 2)
+    t = (at - low)[..., None]
+    return np.where(known[..., None], RAMP[low] * (1 - t) + RAMP[low + 1] * t, 128).astype(np.uint8)
+
+
+def _uncertain(camera, side):
+    """One sigma of a projected point at the scene's distance, over the picture."""
+    u = camera.get("uncertainty") or {}
+    if not u.get("sigma_px"):
+        return ""
+    grid = np.array([[np.nan if v is None else v for v in row] for row in u["sigma_px"]], float)
+    W, H = camera["size"]
+    high = max(1, round(480 * H / W / len(grid)))
+    picture = np.repeat(np.repeat(_ramp(grid), high, axis=0), max(1, round(480 / grid.shape[1])), axis=1)
+    return _figure(uri(picture), f"<b>{side.capitalize()}</b>: one σ of a projected point {number(u.get('distance_m'), 2)} m away; {number(u.get('centre_px'), 2)} px at most over the middle of the picture", f"Uncertainty of the {side} lens")
+
+
+def _scale():
+    stops = ", ".join(css(c) for c in RAMP)
+    return (f'<div class="scale" style="max-width:480px"><i style="background:linear-gradient(90deg, {stops})"></i><p><span>{number(LOW_PX)} px</span>'
+            f'<span>{number(float(np.sqrt(LOW_PX * HIGH_PX)), 1)} px</span><span>{number(HIGH_PX)} px or more</span></p></div>')
 
 
 def _regions(vision, width):

@@ -6,8 +6,9 @@
 
 reads   reports       <stage>.report.json, in the order of the pipeline
         materials, scores (rendered.json), group, object, depth, legend      what came out; each may be missing
-        truth         a folder: materials.json group.png object.png depth.exr legend.json, each as it may be there.
-                      No other stage reads it
+        lens, camera, posed, lens_right, camera_right, calibration, regions, facets, pose, model      of the vision half, likewise
+        truth         a folder: materials.json group.png object.png depth.exr legend.json left.cameramodel right.cameramodel
+                      left.posed.cameramodel calibration.json disparity.png, each as it may be there.  No other stage reads it
 writes  scorecard     scene,stage,error,value,unit,against,wall_s,cpu_s,peak_mb,status
         comparison    the same errors, and per group and channel the value, the truth, their difference in sigmas
 """
@@ -19,16 +20,37 @@ sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its na
 from lib import stage
 
 
+VISION = ("model", "calibration", "lens", "lens_right", "camera", "camera_right", "posed", "regions", "facets", "pose")
+
+
 def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="scene", help="its name")
     parser.add_argument("--reports", nargs="*", default=[])
-    for name in ("group", "object", "facet", "legend", "depth", "materials", "rendered", "exr", "scores", "truth"):
-        parser.add_argument(f"--{name}")
+    for name in ("group", "object", "facet", "legend", "depth", "materials", "rendered", "exr", "scores", "truth", *VISION):
+        parser.add_argument(f"--{name.replace('_', '-')}")
     for name in ("scorecard", "comparison"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--report")
     return parser
+
+
+def seen(opt, true, images):
+    """(found, true) of the vision half, for vision_errors; nothing is read where truth has nothing to say of it."""
+    from lib import artefact, cameras, image, lenses, model
+    import numpy as np
+
+    truths = {"lens": "left.cameramodel", "lens_right": "right.cameramodel", "posed": "left.posed.cameramodel", "calibration": "calibration.json"}
+    readers = {"model": model.load, "calibration": artefact.read_json, "facets": artefact.read_json, "pose": artefact.read_json, "regions": image.read_labels,
+               "lens": lenses.read, "lens_right": lenses.read, **dict.fromkeys(("camera", "camera_right", "posed"), cameras.read_cameramodel)}
+    known = {name: readers[name](true[file]) for name, file in truths.items() if file in true}
+    if "disparity" in true:
+        scale = artefact.read_json(true["disparity.json"])
+        grey = image.read_labels(true["disparity"])
+        known["disparity"] = np.where(grey == scale["unknown"], np.nan, grey * scale["px_per_grey"])
+    if not known:
+        return {}, {}
+    return {**images, **{name: readers[name](getattr(opt, name)) for name in VISION if getattr(opt, name)}}, known
 
 
 def main(opt):
@@ -40,10 +62,11 @@ def main(opt):
         raise stage.BadInput(f"{truth}: there is no such folder")
     true = {p.stem if p.suffix in (".png", ".exr") else p.name: p for p in sorted(truth.iterdir()) if p.is_file()} if truth else {}
     used = [opt.group, opt.object, opt.depth, opt.legend, opt.materials, opt.scores, *opt.reports,
-            *(true.get(n) for n in ("group", "object", "depth", "legend.json", "materials.json"))]
+            *(getattr(opt, name) for name in VISION),
+            *true.values()]
     with Report(opt.report, inputs=[p for p in used if p], arguments=vars(opt)) as report:
         with report.excluded("imports"):
-            from lib import image
+            from lib import image, vision_errors
 
         def read(path, reader):
             return reader(path) if path else None
@@ -65,6 +88,8 @@ def main(opt):
         errors, details = comparing.against_truth(
             materials=read(opt.materials, comparing.read_materials), truth=read(true.get("materials.json"), comparing.read_materials),
             reports=reports, images=ours, true_images=theirs, legend=legend, true_legend=true_legend, scores=read(opt.scores, artefact.read_json))
+        for place, name, value, unit in vision_errors.against_truth(*seen(opt, true, {**ours, "facet": read(opt.facet, image.read_labels)})):
+            errors.append({"stage": place, "name": name, "value": value, "unit": unit, "against": "truth"})
         for error in errors:
             report.error(error["name"], error["value"], unit=error["unit"], against=error["against"])
         rows = comparing.scorecard(opt.scene, reports, errors)
