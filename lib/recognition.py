@@ -27,6 +27,7 @@ from lib.stage import BadInput
 GATE = 21.1            # chi-square of 3 degrees of freedom, 99.99 %
 DISTINCT_RAD = 0.05    # poses that differ by more than this, or by DISTINCT of the scene's depth, are different answers
 DISTINCT = 0.05
+PROVEN_SHARE = 0.33    # of all evidence; half of the facets may be spurious
 
 
 # Facets of the scene.
@@ -123,7 +124,8 @@ class Pose:
 @dataclass(frozen=True, eq=False)
 class Recognition:
     """poses : tuple of Pose          best first; those behind the first explain the facets as well ("ambiguous")
-    status : "unique", "ambiguous" or "not recognised"
+    status : "unique"; "ambiguous"; "unproved": no more evidence than the search finds by chance, or for a small part of the facets only,
+             so that the photographs must decide; "not recognised": nothing to decide about
     why : str                     in plain words, where it is not recognised
     weight : (N,)                 evidence in nats of each scene facet
     counts : dict                 rotations, correspondences, nodes, candidates
@@ -391,7 +393,7 @@ def kabsch(a, b, weight):
 
 # Positions: the deepest point of the boxes.
 
-def _correspondences(seen, db, R, sigma, scale_free, size_ok):
+def _correspondences(seen, db, R, sigma, size_ok):
     """Scene facet on model facet side, at this rotation: arrays for _search.
 
     One correspondence asks, for each of three axes A of the model facet, that A.c + q P1 >= low and A.c + q P2 <= high:
@@ -418,12 +420,15 @@ def _correspondences(seen, db, R, sigma, scale_free, size_ok):
         h = A[mine][:, 0] @ ((seen.g[k] - seen.pivot) @ R)
         P1[mine, 0], P2[mine, 0] = h + tall[k], h - tall[k]
     low, high = db.low[f], db.high[f]
-    if not scale_free:
-        room = (low - P1 <= high - P2).all(axis=1)
-        i, f, A, P1, P2, low, high = (array[room] for array in (i, f, A, P1, P2, low, high))
-        if len(i) == 0:
-            return None
     return i.astype(np.int64), f, np.ascontiguousarray(A), P1, P2, low, high
+
+
+def _potential(scene, weight):
+    """The weights of the scene facets that occur."""
+    return float(weight[np.unique(scene)].sum())
+
+
+SCALE_STEP = 0.08          # ln; the scales are searched in steps
 
 
 @njit(cache=True)
@@ -736,26 +741,29 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
     counts["rotations"] = len(rotations)
     extent = float(np.linalg.norm(db.size))
     margin = certain + 2.0
-    # the scale: the scene is at most as large as the model, at least a hundredth of it
     spread = max(float(np.linalg.norm(seen.g - seen.pivot, axis=1).max()), 1e-12)
-    q_low, q_high = (0.01 * extent / spread, extent / spread) if scale_free else (1.0, 1.0)
+    # the scale: the scene is at most as large as the model, and at least a fiftieth of it
+    scales = extent / spread * np.exp(np.arange(0, math.log(50), SCALE_STEP)[1:] * -1) if scale_free else np.ones(1)
+    eq = (math.exp(SCALE_STEP / 2) - 1 if scale_free else 0.0) * scales
     problems = []
     for R, sigma, _ in rotations:
-        made = _correspondences(seen, db, R, sigma, scale_free, size_ok)
-        if made is not None:
-            bound = np.bincount(made[0], minlength=len(scene))
-            problems.append((float(weight[bound > 0].sum()), R, made))
-            counts["correspondences"] += len(made[0])
-    found, best = [], 0.0
-    for most_nodes in (300, 5000, 400_000):                                          # a quick look at all of them tells what need not be searched
-        found = []
-        for bound, R, made in problems:
-            if bound < best - margin:
-                continue
+        made = _correspondences(seen, db, R, sigma, size_ok)
+        for q, e in zip(scales, eq) if made is not None else ():
             i, f, A, P1, P2, low, high = made
-            q, eq = (q_low + q_high) / 2, (q_high - q_low) / 2
-            tolerance = np.median(P1[:, 0] - P2[:, 0]) / 2 * (q if not scale_free else math.sqrt(q_low * q_high))
-            places, scores, best, nodes = _search(i, A, P1, P2, low, high, weight, np.zeros(3), db.size / 2 + 0.25 * extent, q, eq, spread,
+            fits = ((q - e) * (P2 - P1) <= high - low).all(axis=1)                # what is seen is not larger
+            if np.count_nonzero(fits):
+                problems.append((_potential(i[fits], weight), R, q, e, made, np.flatnonzero(fits)))
+                counts["correspondences"] += int(np.count_nonzero(fits))
+    problems.sort(key=lambda problem: -problem[0])
+    best = 0.0
+    for most_nodes in (300, 5000, 20_000 if scale_free else 100_000):                                     # a quick look at all of them tells what need not be searched
+        found = []
+        for bound, R, q, e, made, fits in problems:
+            if bound < best - margin:
+                break
+            i, f, A, P1, P2, low, high = made = tuple(np.ascontiguousarray(array[fits]) for array in made)
+            tolerance = q * np.median(P1[:, 0] - P2[:, 0]) / 2
+            places, scores, best, nodes = _search(i, A, P1, P2, low, high, weight, np.zeros(3), db.size / 2 + 0.25 * extent, q, e, spread,
                                                   max(0.4 * tolerance, 1e-6 * extent), best, margin, most_nodes)
             counts["nodes"] += nodes
             found += [(score, R, place, made) for place, score in zip(places, scores)]
@@ -780,6 +788,9 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
         pose = _polish(seen, db, weight, T, q, pairs, scale_free)
         if pose is not None and not any(_same(pose, other, seen) and other.score >= pose.score for other in poses):
             poses = [other for other in poses if not _same(pose, other, seen)] + [pose]
+    # So many displacements could have been told apart, so much evidence is found by chance: three facets put a scene anywhere.
+    thin = 3 * np.median(seen.height) * (0.3 * extent / spread if scale_free else 1.0)
+    counts["chance"] = round(float(np.log(max(len(problems), 1)) + np.log(np.maximum(db.size / (2 * thin), 1)).sum()), 1)
     return _judge(seen, db, weight, poses, certain, scale_free, counts)
 
 
@@ -836,6 +847,10 @@ def _judge(seen, db, weight, poses, certain, scale_free, counts):
         linear = p.linear.copy()
         linear[:3, 3] = linear[:3, 3] - linear[:3, :3] @ db.centre
         final.append(replace(p, T=T, covariance=np.linalg.inv(p.covariance + 1e-2 * _unit(seen, p.scale, size) * np.eye(size)), linear=linear))
+    share = best.score / max(float(weight.sum()), 1e-12)
+    if best.score < counts["chance"] + 1 or share < PROVEN_SHARE:
+        why = f"the best displacement explains {len(best.matches)} of {len(weight)} facets: {best.score:.0f} nats of evidence, by chance {counts['chance']:.0f} are found"
+        return Recognition(tuple(final), "unproved", why, weight, counts)
     return Recognition(tuple(final), "ambiguous" if len(final) > 1 else "unique", "", weight, counts)
 
 

@@ -12,7 +12,7 @@ The paper moves the corners of facets onto the corners of their regions by plain
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -503,6 +503,58 @@ def _moved_px(rig, old, T, scale):
     return float(np.abs(_project(rig, 0, T, scale, p) - q).max())
 
 
+def _paper_method(model, rig, T, scale, matches, labels, trace, iterations=400):
+    """The paper's: corners of the facets that were recognised onto the corners of their regions, by plain gradient descent.
+
+    Each corner that a camera sees goes with the nearest corner of its region's outline. The step is the longest that cannot diverge;
+    it is taken again and again until the error stops falling. Simplest, least accurate: regions end where colours do.
+    """
+    import cv2
+
+    targets = []                                                                # per side and match: model corners, region corners
+    for side, s in enumerate(rig.sides):
+        for (i, f) in matches:
+            label = labels[i, side]
+            mask = (s.regions == label).astype(np.uint8) if s.regions is not None and label > 0 else np.zeros((1, 1), np.uint8)
+            contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+            if contours:
+                outline = cv2.approxPolyDP(max(contours, key=cv2.contourArea), 2.0, True)[:, 0].astype(float)
+                p = model.vertices[np.unique(model.triangles[model.triangle_facet == f])]
+                targets.append((side, f, p, outline))
+    before = math.inf
+    for iteration in range(iterations):
+        if iteration % 20 == 0:                                                 # who sees what, who goes with whom
+            cameras, pairs = rig.cameras(T, scale), []
+            drawn = [_draw(model, camera).facet for camera in cameras]
+            for side, f, p, outline in targets:
+                q, camera = cameras[side].project(p), cameras[side]
+                inside = (q > -0.5).all(axis=1) & (q < np.array([camera.width, camera.height]) - 0.5).all(axis=1)
+                p, q = p[inside], q[inside]
+                at = np.rint(q).astype(int)
+                shown = np.array([(drawn[side][max(y - 2, 0):y + 3, max(x - 2, 0):x + 3] == f).any() for x, y in at], bool)
+                p, q = p[shown], q[shown]
+                if len(p):
+                    gap = np.linalg.norm(q[:, None] - outline[None], axis=2)
+                    near = gap.min(axis=1) < 0.3 * max(np.ptp(outline, axis=0).max(), 10)
+                    pairs.append((side, p[near], outline[gap.argmin(axis=1)[near]]))
+        H, g, cost, number = np.zeros((6, 6)), np.zeros(6), 0.0, 0
+        for side, p, wanted in pairs:
+            q, J = _project(rig, side, T, scale, p, True)
+            r = q - wanted
+            H += np.einsum("nik,nil->kl", J, J)
+            g += np.einsum("nik,ni->k", J, r)
+            cost, number = cost + (r ** 2).sum(), number + len(p)
+        if number < 3:
+            break
+        error = math.sqrt(cost / number)
+        trace.append({"iteration": len(trace), "step": "refined", "error_px": error, "samples": number, "rt_cam_world": rt_from_matrix(T)})
+        if iteration % 20 == 19 and error > before * (1 - 1e-3):
+            break
+        before = error if iteration % 20 == 19 else before
+        T = moved(T, -g / np.linalg.eigvalsh(H)[-1])
+    return T, trace[-1]["error_px"]
+
+
 def _covariance(fit):
     """Of the step, by clusters: errors along one edge go together, whatever their cause (lens, light, the model), so each edge is one witness.
 
@@ -542,32 +594,37 @@ def _evidence(model, edges, rig, pyramids, T, scale):
     return f, f0, number / 5 * (f * math.log(0.6 / f0) + (1 - f) * math.log(0.4 / (1 - f0))) if f0 < 0.6 else 0.0
 
 
-def refine(model, sides, found, *, method="edges", certain=8.0) -> Refined:
+def refine(model, sides, found, labels=None, *, method="edges", certain=8.0) -> Refined:
     """The recognised poses refined and judged by the photographs.
 
     sides : Side of the left photograph, and of the right one if there is one
     found : recognition.Recognition, "unique" or "ambiguous"; each of its poses is refined
+    labels : (N, 2) of the scene facets' regions, for method "paper"
     certain : nats by which the photographs must prefer a pose to call the others wrong
     """
     rig = _rig(sides)
     free = found.poses[0].covariance.shape == (7, 7)
     edges = model_edges(model)
-    results = []
     pyramids = [_pyramid(side.photograph, 16) for side in sides]
-    for pose in found.poses[:6]:
-        results.append(_refine_one(model, edges, rig, sides, pyramids, pose, free, method))
+    results = [_refine_one(model, edges, rig, pyramids, pose, free, method, labels) for pose in found.poses[:6]]
     order = sorted(range(len(results)), key=lambda k: -results[k].evidence)
     best = results[order[0]]
-    others = [k for k in order[1:] if results[k].evidence > best.evidence - certain and not _near(results[k].cameras[0], best.cameras[0], found.poses[order[0]])]
-    ambiguous = [{"rt_cam_world": rt_from_matrix(results[k].cameras[0].T_cam_world), "support": results[k].support, "error_px": results[k].rms_px} for k in others]
-    from dataclasses import replace
-    return replace(best, status="ambiguous" if ambiguous else "unique", chosen=order[0], ambiguous=ambiguous)
+    others = [results[k] for k in order[1:] if results[k].evidence > best.evidence - certain]
+    others = [r for i, r in enumerate(others) if not any(_near(r.cameras[0], s.cameras[0]) for s in (best, *others[:i]))]
+    status = "ambiguous" if others else "unique"
+    if found.status == "unproved" and (others or best.evidence < PROOF or best.support < 0.5):
+        status = "not recognised"
+    ambiguous = tuple({"rt_cam_world": rt_from_matrix(r.cameras[0].T_cam_world), "support": r.support, "error_px": r.rms_px} for r in others)
+    return replace(best, status=status, chosen=order[0], ambiguous=ambiguous)
 
 
-def _near(a, b, pose):
-    """Did two starts end at the same pose?"""
+PROOF = 50.0           # nats of the photographs alone; wrong poses reach 20
+
+
+def _near(a, b):
+    """Did two starts end at the same pose? Their pictures of the middle of the view, as far away as the centres can tell."""
     turn = np.linalg.norm(a.T_cam_world[:3, :3] - b.T_cam_world[:3, :3])
-    return turn < 0.02 and np.linalg.norm(a.centre - b.centre) < 0.02 * np.linalg.norm(pose.T[:3, 3])
+    return turn < 0.02 and np.linalg.norm(a.centre - b.centre) < 0.05
 
 
 def _rig(sides):
@@ -575,10 +632,15 @@ def _rig(sides):
     return _Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides))
 
 
-def _refine_one(model, edges, rig, sides, pyramids, pose, free, method):
+def _refine_one(model, edges, rig, pyramids, pose, free, method, labels):
     """The pose refined from several coarsenesses; that which the photographs support most."""
     start = {"iteration": 0, "step": "linear", "error_px": None, "rt_cam_world": rt_from_matrix(pose.linear)}
     prior = (np.linalg.inv(9 * pose.covariance), pose.T, pose.scale)
+    if method == "paper":
+        trace = [start]
+        T, error = _paper_method(model, rig, pose.T, pose.scale, pose.matches, labels, trace)
+        support, chance, evidence = _evidence(model, edges, rig, pyramids, T, pose.scale)
+        return Refined(rig.cameras(T, pose.scale), pose.covariance[:6, :6], pose.scale, error, support, chance, evidence, trace)
     wanted, factor, tried = _start_px(rig, pose), 1, []
     while True:
         schedule = [(f, reach) for f in (16, 8, 4, 2, 1) if f <= factor for reach in (8.0, 5.0)]

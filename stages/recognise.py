@@ -54,14 +54,19 @@ def main(opt):
 
         with report.timing("recognise"):
             found = recognition.recognise(scene, model, sides[0].camera)
-        report["search"] = found.counts
+        report["search"], report["evidence_nats"] = found.counts, [pose.score for pose in found.poses]
         if found.status == "not recognised":
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}")
         with report.timing("refine"):
-            result = refinement.refine(model, sides, found, method=opt.method)
+            result = refinement.refine(model, sides, found, scene.labels, method=opt.method)
+        if result.status == "not recognised":
+            raise stage.BadInput(f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that pose's edges")
         for step in result.trace:
             report.trace(**{k: v for k, v in step.items() if k != "rt_cam_world"})
         report.error("edges", result.rms_px, unit="px", against="sub-pixel edges of the photographs")
+        report["edges_found"], report["edges_found_by_chance"] = result.support, result.chance
+        if result.evidence < refinement.PROOF:
+            report.warning(f"{opt.photograph}: only {100 * result.support:.0f} % of the edges that the model predicts are found: the pose is poor, or the model is not what is seen")
         report.status = result.status
         if result.status == "ambiguous":
             report.warning(f"{opt.model}: {len(result.ambiguous)} other poses explain the facets as well: see ambiguous in {opt.pose}")
