@@ -237,10 +237,11 @@ def _pose(vision, width):
     if others:
         said.append(f"{len(others)} other pose{'s' * (len(others) != 1)} would explain the facets as well")
     body = f"<p class=verdict>{esc(('; '.join(said)).capitalize())}.</p>"
-    if vision.wires:
+    sides = [s for s in SIDES if vision.photographs.get(s) is not None]
+    if vision.wires and sides:
         last = vision.wires[-1]
-        body += '<div class="two even">' + "".join(_captioned(_over(vision.photographs[s], last[s], width, colour="#ffe14d"), f"<b>{s.capitalize()}</b>, {esc(last['title'])}") for s in SIDES if s in last) + "</div>"
-        steps = [_captioned(_over(vision.photographs[s], wire[s], min(width, 480)), f"{s.capitalize()}, {esc(wire['title'])}") for wire in vision.wires[:-1] for s in SIDES if s in wire]
+        body += '<div class="two even">' + "".join(_captioned(_over(vision.photographs[s], last[s], width, colour="#ffe14d"), f"<b>{s.capitalize()}</b>, {esc(last['title'])}") for s in sides) + "</div>"
+        steps = [_captioned(_over(vision.photographs[s], wire[s], min(width, 480)), f"{s.capitalize()}, {esc(wire['title'])}") for wire in vision.wires[:-1] for s in sides]
         body += f'<h3>How it got there</h3><div class="two even">{"".join(steps)}</div>' if steps else ""
     return _section("Where the camera is", body, "The part of the model that each camera sees, drawn over its photograph.")
 
@@ -250,5 +251,7 @@ STYLE = """
 .over-photo svg{position:absolute;inset:0;width:100%;height:100%;border-radius:8px}
 .over-photo path{fill:none;stroke-width:1.5px;vector-effect:non-scaling-stroke;stroke-linecap:round}
 .over-photo .casing{stroke:#000;stroke-opacity:.45;stroke-width:3px}
+figure~h3,.two+h3,.scroll+p{margin-top:26px}
+.verdict+.two,.verdict+.scroll{margin-top:18px}
 .over-photo text{fill:#fff;font-size:11px;text-anchor:middle;dominant-baseline:middle;paint-order:stroke;stroke:#000;stroke-width:2.5px;stroke-opacity:.6}
 """
