@@ -333,18 +333,8 @@ def _rotations(seen, directions, most=200, tried=20000):
         if not left[k]:
             continue
         left &= np.abs(quaternion @ quaternion[k]) < math.cos(0.04 / 2)
-        refined, sigma = R[k], 0.03
-        for _ in range(3):
-            near = (seen.n @ refined) @ directions.T
-            a = near.argmax(axis=1)
-            fits = near.max(axis=1) > np.cos(np.minimum(3 * np.hypot(seen.angle, sigma) + 0.005, 0.6))
-            if fits.sum() < 2:
-                break
-            w = fits / (seen.angle ** 2 + 1e-6)
-            refined = kabsch(directions[a], seen.n, w)
-            values = np.linalg.eigvalsh(w.sum() * np.eye(3) - (w[:, None] * seen.n).T @ seen.n)
-            sigma = 1 / math.sqrt(values[0]) if values[0] > 0 else math.inf
-        if fits.sum() < 2 or not sigma < 0.2:
+        refined, sigma, fits = _aligned(R[k], seen.n, seen.angle, directions)
+        if not sigma < 0.2:
             continue
         if (np.einsum("ij,kij->k", refined, kept) > 1 + 2 * math.cos(0.02)).any():
             continue
@@ -353,6 +343,40 @@ def _rotations(seen, directions, most=200, tried=20000):
         if len(found) == most:
             break
     return sorted(found, key=lambda f: -f[2])
+
+
+@njit(cache=True)
+def _aligned(R, n, angle, directions):
+    """R improved on all normals near a direction: (R, sigma rad of its worst turn, (N,) bool which normals); sigma is infinite where nothing holds it."""
+    fits, sigma = np.zeros(len(n), np.bool_), 0.03
+    for _ in range(3):
+        M, information = np.zeros((3, 3)), np.zeros((3, 3))
+        for i in range(len(n)):
+            best, a = -2.0, 0
+            for d in range(len(directions)):
+                cosine = 0.0
+                for x in range(3):
+                    for y in range(3):
+                        cosine += n[i, x] * R[x, y] * directions[d, y]
+                if cosine > best:
+                    best, a = cosine, d
+            fits[i] = best > math.cos(min(3 * math.sqrt(angle[i] ** 2 + sigma ** 2) + 0.005, 0.6))
+            if fits[i]:
+                w = 1 / (angle[i] ** 2 + 1e-6)
+                for x in range(3):
+                    information[x, x] += w
+                    for y in range(3):
+                        M[x, y] += w * n[i, x] * directions[a, y]
+                        information[x, y] -= w * n[i, x] * n[i, y]
+        if fits.sum() < 2:
+            return R, np.inf, fits
+        u, _, vt = np.linalg.svd(M)                                             # Kabsch, as below
+        turn = np.eye(3)
+        turn[2, 2] = np.linalg.det(u @ vt)
+        R = u @ turn @ vt
+        least = np.linalg.eigvalsh(information)[0]
+        sigma = 1 / math.sqrt(least) if least > 0 else np.inf
+    return R, sigma, fits
 
 
 @njit(cache=True)
@@ -399,120 +423,182 @@ def _correspondences(seen, db, R, sigma, size_ok):
     One correspondence asks, for each of three axes A of the model facet, that A.c + q P1 >= low and A.c + q P2 <= high:
     c is the pivot's place in the model, q the scale, P1 and P2 hold the outline's reach and the tolerance.
     """
-    n_world = seen.n @ R                                                       # rows: R^T n
-    near = n_world @ db.axes[:, 0].T                                            # (N, F)
-    gate = np.cos(np.minimum(3.5 * np.hypot(seen.angle, sigma) + 0.01, 0.6))[:, None]
-    i, f = np.nonzero(((near > gate) | ((near < -gate) & db.twosided)) & size_ok)
-    if len(i) == 0:
-        return None
     lever = np.linalg.norm(seen.g - seen.pivot, axis=1)
-    tall = 3 * np.hypot(seen.height, sigma * lever)
-    wide = 3 * np.hypot(seen.slide, sigma * lever)
-    A = db.axes[f]
-    P1, P2 = np.zeros((len(i), 3)), np.zeros((len(i), 3))
-    for k in np.unique(i):
-        mine = i == k
-        p = (seen.outline[k] - seen.pivot) @ R
-        along = np.einsum("cad,pd->cap", A[mine][:, 1:], p)
-        reach = along.max(axis=2) - along.min(axis=2)
-        slack = wide[k] + 0.03 * reach
-        P1[mine, 1:], P2[mine, 1:] = along.min(axis=2) + slack, along.max(axis=2) - slack
-        h = A[mine][:, 0] @ ((seen.g[k] - seen.pivot) @ R)
-        P1[mine, 0], P2[mine, 0] = h + tall[k], h - tall[k]
-    low, high = db.low[f], db.high[f]
-    return i.astype(np.int64), f, np.ascontiguousarray(A), P1, P2, low, high
-
-
-def _potential(scene, weight):
-    """The weights of the scene facets that occur."""
-    return float(weight[np.unique(scene)].sum())
-
-
-SCALE_STEP = 0.08          # ln; the scales are searched in steps
+    gate = np.cos(np.minimum(3.5 * np.hypot(seen.angle, sigma) + 0.01, 0.6))
+    start = np.cumsum([0, *(len(outline) for outline in seen.outline)])
+    made = _fill(seen.n @ R, gate, (np.concatenate(seen.outline) - seen.pivot) @ R, start, (seen.g - seen.pivot) @ R,
+                 3 * np.hypot(seen.height, sigma * lever), 3 * np.hypot(seen.slide, sigma * lever), db.axes, db.twosided, size_ok)
+    i, f, A, P1, P2 = made
+    return (i, f, A, P1, P2, db.low[f], db.high[f]) if len(i) else None
 
 
 @njit(cache=True)
-def _search(scene, A, P1, P2, low, high, weight, c0, e0, q0, eq0, span, resolution, best, margin, most_nodes):
-    """Depth-first branch and bound, the better half first: places (c, q) where correspondences of much weight hold together.
+def _fill(n, gate, outline, start, g, tall, wide, axes, twosided, size_ok):
+    """The arrays of _correspondences, all directions in the model's frame; outline, g : from the pivot."""
+    most = 0
+    for k in range(len(n)):
+        for f in range(len(axes)):
+            cosine = n[k, 0] * axes[f, 0, 0] + n[k, 1] * axes[f, 0, 1] + n[k, 2] * axes[f, 0, 2]
+            most += size_ok[k, f] and (cosine > gate[k] or (cosine < -gate[k] and twosided[f]))
+    scene, facet = np.empty(most, np.int64), np.empty(most, np.int64)
+    A, P1, P2 = np.empty((most, 3, 3)), np.empty((most, 3)), np.empty((most, 3))
+    c = 0
+    for k in range(len(n)):
+        for f in range(len(axes)):
+            cosine = n[k, 0] * axes[f, 0, 0] + n[k, 1] * axes[f, 0, 1] + n[k, 2] * axes[f, 0, 2]
+            if not (size_ok[k, f] and (cosine > gate[k] or (cosine < -gate[k] and twosided[f]))):
+                continue
+            scene[c], facet[c], A[c] = k, f, axes[f]
+            h = A[c, 0, 0] * g[k, 0] + A[c, 0, 1] * g[k, 1] + A[c, 0, 2] * g[k, 2]
+            P1[c, 0], P2[c, 0] = h + tall[k], h - tall[k]
+            for a in (1, 2):
+                least, largest = np.inf, -np.inf
+                for p in range(start[k], start[k + 1]):
+                    x = A[c, a, 0] * outline[p, 0] + A[c, a, 1] * outline[p, 1] + A[c, a, 2] * outline[p, 2]
+                    least, largest = min(least, x), max(largest, x)
+                slack = wide[k] + 0.03 * (largest - least)
+                P1[c, a], P2[c, a] = least + slack, largest - slack
+            c += 1
+    return scene, facet, A, P1, P2
 
-    Returns places (n, 4), scores (n,), the best score, nodes visited. Everything within `margin` of the best is found, up to
-    64 places further than 4 resolutions apart. Bound of a cell: the weights of the scene facets that some correspondence allows somewhere in it.
+
+SCALE_STEP = 0.08          # ln; the scales are searched in steps
+MOST_NODES = 2_000_000     # some seconds
+
+
+@njit(cache=True)
+def _search(scene, A, P1, P2, low, high, member, start, scale, reach, weight, half, span, resolution, margin, most_nodes):
+    """Branch and bound over the places c of the pivot, |c| <= half, and scales q, for all problems (rotation, step of scale) at once.
+
+    Problem k has the correspondences member[start[k]:start[k + 1]], scales within reach[k] of scale[k], and is done at resolution[k].
+    The bound of a cell is the weight of the scene facets that some correspondence allows somewhere in it; the cell of the highest
+    bound is halved first, so the deepest point comes first, and then everything within `margin` of it.
+
+    Returns problem (n,), places (n, 4), scores (n,), cells visited; complete unless most_nodes were not enough.
     """
-    C, depth = len(scene), 512
-    pool = np.empty(64 * C + 1024, np.int64)
-    pool[:C] = np.arange(C)
-    cell, at, bounds = np.empty((depth, 8)), np.empty((depth, 2), np.int64), np.empty((depth, 2))
-    cell[0, :3], cell[0, 3:6], cell[0, 6], cell[0, 7] = c0, e0, q0, eq0
     marks = np.full((3, len(weight)), -1)
-    at[0, 0], at[0, 1] = 0, C
-    bounds[0] = np.inf, 0.0
-    top, nodes, count = 1, 0, 0
-    places, scores = np.empty((64, 4)), np.empty(64)
-    while top > 0 and nodes < most_nodes:
-        top -= 1
-        if bounds[top, 0] < best - margin:
-            continue
+    capacity = 4096
+    cell, bound, sure, owner = np.empty((capacity, 8)), np.empty(capacity), np.empty(capacity), np.empty(capacity, np.int64)
+    heap, free = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+    used, size, spare, stamp = 0, 0, 0, 0
+    largest = 0
+    for k in range(len(start) - 1):
+        largest = max(largest, start[k + 1] - start[k])
+    pool = np.empty(4 * largest + 4, np.int64)
+    problem, places, scores, count = np.empty(512, np.int64), np.empty((512, 4)), np.empty(512), 0
+    best, nodes = 0.0, 0
+    child = np.empty(8)
+    for k in range(len(start) - 1):                                             # the roots
+        pool[:start[k + 1] - start[k]] = member[start[k]:start[k + 1]]
+        child[:3], child[3:6], child[6], child[7] = 0.0, half, scale[k], reach[k]
+        stamp += 1
+        n, most, everywhere, middle = _allowed(scene, A, P1, P2, low, high, weight, child, pool, 0, start[k + 1] - start[k], largest, marks, stamp)
+        best = max(best, middle)
+        if used == capacity:
+            capacity *= 2
+            cell, bound, sure, owner, heap, free = _grown(cell, bound, sure, owner, heap, free, capacity)
+        cell[used], bound[used], sure[used], owner[used] = child, most, everywhere, k
+        size = _push(heap, size, bound, used)
+        used += 1
+    while size > 0 and nodes < most_nodes:
+        at = heap[0]
+        size = _pop(heap, size, bound)
+        if bound[at] < best - margin:
+            break
         nodes += 1
-        c, e, q, eq = cell[top, :3].copy(), cell[top, 3:6].copy(), cell[top, 6], cell[top, 7]
-        bound, sure, start, length = bounds[top, 0], bounds[top, 1], at[top, 0], at[top, 1]
-        widest, axis = eq * span, 3
+        k, value, certain = owner[at], bound[at], sure[at]
+        here = cell[at].copy()
+        free[spare] = at
+        spare += 1
+        widest, axis = here[7] * span, 3
         for a in range(3):
-            if e[a] > widest:
-                widest, axis = e[a], a
-        if widest < resolution or sure >= bound - 1e-9 or top + 2 > depth:
-            s, new = 0, True
-            while s < count and new:
-                gap = max(abs(places[s, 0] - c[0]), abs(places[s, 1] - c[1]), abs(places[s, 2] - c[2]), abs(places[s, 3] - q) * span)
-                new = gap >= 4 * resolution + 2 * widest
-                s += 1
-            if not new:
-                s -= 1
-            elif count < 64:
-                s = count
+            if here[3 + a] > widest:
+                widest, axis = here[3 + a], a
+        near = -1
+        for s in range(count):
+            if problem[s] == k:
+                gap = max(abs(places[s, 0] - here[0]), abs(places[s, 1] - here[1]), abs(places[s, 2] - here[2]), abs(places[s, 3] - here[6]) * span)
+                if gap < 3 * resolution[k] + widest:
+                    near = s
+                    break
+        if near >= 0 and widest < 2 * resolution[k] and value <= scores[near]:
+            continue                                                            # the same place again
+        if widest < resolution[k] or certain >= value - 1e-9:
+            if near < 0:
+                if count == len(scores):
+                    continue                                                    # the others are worse, or as good: enough to know
+                near = count
                 count += 1
-                scores[s] = 0.0
-            else:
-                s = np.argmin(scores)
-            if bound > scores[s]:
-                scores[s] = bound
-                places[s, :3], places[s, 3] = c, q
+                scores[near] = 0.0
+            if value > scores[near]:
+                problem[near], scores[near], places[near, :3], places[near, 3] = k, value, here[:3], here[6]
             continue
-        end = start + length
-        if end + 2 * length > len(pool):
-            bigger = np.empty(2 * (end + 2 * length), np.int64)
-            bigger[:end] = pool[:end]
-            pool = bigger
-        first_end = end
-        for side in range(2):
-            k = top + side
-            cell[k, :3], cell[k, 3:6], cell[k, 6], cell[k, 7] = c, e, q, eq
-            sign = 2 * side - 1
+        stamp += 1
+        length = start[k + 1] - start[k]
+        pool[:length] = member[start[k]:start[k + 1]]
+        n, _, _, _ = _allowed(scene, A, P1, P2, low, high, weight, here, pool, 0, length, length, marks, stamp)
+        for side in (-1, 1):
+            child[:] = here
             if axis == 3:
-                cell[k, 7] = eq / 2
-                cell[k, 6] = q + sign * eq / 2
+                child[7] /= 2
+                child[6] += side * child[7]
             else:
-                cell[k, 3 + axis] = e[axis] / 2
-                cell[k, axis] = c[axis] + sign * e[axis] / 2
-            n, most, everywhere, middle = _allowed(scene, A, P1, P2, low, high, weight, cell[k], pool, start, length, end, marks, 2 * nodes + side)
+                child[3 + axis] /= 2
+                child[axis] += side * child[3 + axis]
+            stamp += 1
+            _, most, everywhere, middle = _allowed(scene, A, P1, P2, low, high, weight, child, pool, length, n, length + n, marks, stamp)
             best = max(best, middle)
-            at[k, 0], at[k, 1] = end, n
-            bounds[k, 0], bounds[k, 1] = most, everywhere
-            end += n
-        if bounds[top, 0] > bounds[top + 1, 0]:                                 # the better one on top, in the stack and in the pool
-            first, second = at[top, 1], at[top + 1, 1]
-            held = pool[first_end:first_end + first].copy()
-            for s in range(second):
-                pool[first_end + s] = pool[first_end + first + s]
-            for s in range(first):
-                pool[first_end + second + s] = held[s]
-            for a in range(8):
-                cell[top, a], cell[top + 1, a] = cell[top + 1, a], cell[top, a]
-            for a in range(2):
-                bounds[top, a], bounds[top + 1, a] = bounds[top + 1, a], bounds[top, a]
-            at[top, 0], at[top, 1] = first_end, second
-            at[top + 1, 0], at[top + 1, 1] = first_end + second, first
-        top += 2
-    return places[:count], scores[:count], best, nodes
+            if most < best - margin or most <= 0:
+                continue
+            if spare > 0:
+                spare -= 1
+                new = free[spare]
+            else:
+                if used == capacity:
+                    capacity *= 2
+                    cell, bound, sure, owner, heap, free = _grown(cell, bound, sure, owner, heap, free, capacity)
+                new = used
+                used += 1
+            cell[new], bound[new], sure[new], owner[new] = child, most, everywhere, k
+            size = _push(heap, size, bound, new)
+    return problem[:count], places[:count], scores[:count], nodes
+
+
+@njit(cache=True)
+def _grown(cell, bound, sure, owner, heap, free, capacity):
+    n = len(bound)
+    new_cell, new_bound, new_sure = np.empty((capacity, 8)), np.empty(capacity), np.empty(capacity)
+    new_owner, new_heap, new_free = np.empty(capacity, np.int64), np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+    new_cell[:n], new_bound[:n], new_sure[:n], new_owner[:n], new_heap[:n], new_free[:n] = cell, bound, sure, owner, heap, free
+    return new_cell, new_bound, new_sure, new_owner, new_heap, new_free
+
+
+@njit(cache=True)
+def _push(heap, size, bound, item):
+    """A heap of items, the highest bound on top, the newer (smaller) cell first among equals; returns the new size."""
+    k = size
+    while k > 0 and bound[item] >= bound[heap[(k - 1) // 2]]:
+        heap[k] = heap[(k - 1) // 2]
+        k = (k - 1) // 2
+    heap[k] = item
+    return size + 1
+
+
+@njit(cache=True)
+def _pop(heap, size, bound):
+    """Takes the top away; returns the new size."""
+    size -= 1
+    item, k = heap[size], 0
+    while 2 * k + 1 < size:
+        c = 2 * k + 1
+        if c + 1 < size and bound[heap[c + 1]] > bound[heap[c]]:
+            c += 1
+        if bound[item] >= bound[heap[c]]:
+            break
+        heap[k] = heap[c]
+        k = c
+    heap[k] = item
+    return size
 
 
 @njit(cache=True)
@@ -745,44 +831,46 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
     # the scale: the scene is at most as large as the model, and at least a fiftieth of it
     scales = extent / spread * np.exp(np.arange(0, math.log(50), SCALE_STEP)[1:] * -1) if scale_free else np.ones(1)
     eq = (math.exp(SCALE_STEP / 2) - 1 if scale_free else 0.0) * scales
-    problems = []
-    for R, sigma, _ in rotations:
+    parts, member, start, which, total = [], [], [0], [], 0
+    for number, (R, sigma, _) in enumerate(rotations):
         made = _correspondences(seen, db, R, sigma, size_ok)
-        for q, e in zip(scales, eq) if made is not None else ():
-            i, f, A, P1, P2, low, high = made
-            fits = ((q - e) * (P2 - P1) <= high - low).all(axis=1)                # what is seen is not larger
-            if np.count_nonzero(fits):
-                problems.append((_potential(i[fits], weight), R, q, e, made, np.flatnonzero(fits)))
-                counts["correspondences"] += int(np.count_nonzero(fits))
-    problems.sort(key=lambda problem: -problem[0])
-    best = 0.0
-    for most_nodes in (300, 5000, 20_000 if scale_free else 100_000):                                     # a quick look at all of them tells what need not be searched
-        found = []
-        for bound, R, q, e, made, fits in problems:
-            if bound < best - margin:
-                break
-            i, f, A, P1, P2, low, high = made = tuple(np.ascontiguousarray(array[fits]) for array in made)
-            tolerance = q * np.median(P1[:, 0] - P2[:, 0]) / 2
-            places, scores, best, nodes = _search(i, A, P1, P2, low, high, weight, np.zeros(3), db.size / 2 + 0.25 * extent, q, e, spread,
-                                                  max(0.4 * tolerance, 1e-6 * extent), best, margin, most_nodes)
-            counts["nodes"] += nodes
-            found += [(score, R, place, made) for place, score in zip(places, scores)]
-    found = sorted((x for x in found if x[0] >= best - margin), key=lambda x: -x[0])[:150]
-    counts["candidates"] = len(found)
+        if made is None:
+            continue
+        i, f, A, P1, P2, low, high = made
+        parts.append(made)
+        for q, e in zip(scales, eq):
+            fits = np.flatnonzero(((q - e) * (P2 - P1) <= high - low).all(axis=1))     # what is seen is not larger
+            if len(fits):
+                member.append(fits + total)
+                start.append(start[-1] + len(fits))
+                which.append((number, q, e))
+        total += len(i)
+    if not which:
+        return nothing("no facet of the model is turned and as large as the scene's are")
+    i, f, A, P1, P2, low, high = (np.concatenate(arrays) for arrays in zip(*parts))
+    which = np.array(which)
+    counts["correspondences"] = start[-1]
+    resolution = np.maximum(0.4 * which[:, 1] * np.median(P1[:, 0] - P2[:, 0]) / 2, 1e-6 * extent)
+    problem, places, scores, counts["nodes"] = _search(i, A, P1, P2, low, high, np.concatenate(member), np.array(start), which[:, 1].copy(), which[:, 2].copy(),
+                                                       weight, db.size / 2 + 0.25 * extent, spread, resolution, margin, MOST_NODES)
+    counts["complete"] = bool(counts["nodes"] < MOST_NODES)
+    keep = [k for k in np.argsort(-scores, kind="stable") if scores[k] >= scores.max() - margin][:150]
+    counts["candidates"] = len(keep)
     poses = []
-    for score, R, place, (i, f, A, P1, P2, low, high) in found:
-        q = place[3]
-        x = np.einsum("cad,d->ca", A, place[:3])
-        slack = 0.4 * (P1[:, :1] - P2[:, :1]).clip(0) * q
-        holds = ((x + q * P1 - low >= -slack) & (high - x - q * P2 >= -slack)).all(axis=1)
-        gap = np.abs(x[:, 0] + q * (P1[:, 0] + P2[:, 0]) / 2 - low[:, 0])
+    for k in keep:
+        R, place, q = rotations[int(which[problem[k], 0])][0], places[k], places[k, 3]
+        mine = member[problem[k]]
+        x = np.einsum("cad,d->ca", A[mine], place[:3])
+        slack = 0.4 * (P1[mine, :1] - P2[mine, :1]).clip(0) * q
+        holds = ((x + q * P1[mine] - low[mine] >= -slack) & (high[mine] - x - q * P2[mine] >= -slack)).all(axis=1)
+        gap = np.abs(x[:, 0] + q * (P1[mine, 0] + P2[mine, 0]) / 2 - low[mine, 0])
         pairs = {}
-        for k in np.flatnonzero(holds):
-            if i[k] not in pairs or gap[k] < gap[pairs[i[k]]]:
-                pairs[i[k]] = k
+        for c in np.flatnonzero(holds):
+            if i[mine[c]] not in pairs or gap[c] < gap[pairs[i[mine[c]]]]:
+                pairs[i[mine[c]]] = c
         if len(pairs) < 3:
             continue
-        pairs = np.array([(s, f[k]) for s, k in sorted(pairs.items())])
+        pairs = np.array([(s, f[mine[c]]) for s, c in sorted(pairs.items())])
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, q * seen.pivot - R @ place[:3]
         pose = _polish(seen, db, weight, T, q, pairs, scale_free)
@@ -790,7 +878,7 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
             poses = [other for other in poses if not _same(pose, other, seen)] + [pose]
     # So many displacements could have been told apart, so much evidence is found by chance: three facets put a scene anywhere.
     thin = 3 * np.median(seen.height) * (0.3 * extent / spread if scale_free else 1.0)
-    counts["chance"] = round(float(np.log(max(len(problems), 1)) + np.log(np.maximum(db.size / (2 * thin), 1)).sum()), 1)
+    counts["chance"] = round(float(np.log(len(which)) + np.log(np.maximum(db.size / (2 * thin), 1)).sum()), 1)
     return _judge(seen, db, weight, poses, certain, scale_free, counts)
 
 
@@ -871,6 +959,8 @@ def _distinct_planes(db, facets):
 
 def warm_up():
     """Compiles, or reads from the cache, what is compiled."""
-    one = np.zeros((1, 3))
-    _support(np.eye(3)[None], np.eye(3), np.eye(3), np.ones(3), np.ones(3))
-    _search(np.zeros(1, np.int64), np.eye(3)[None], one - 1, one + 1, one - 1, one + 1, np.ones(1), np.zeros(3), np.ones(3), 1.0, 0.0, 1.0, 0.5, 0.0, 1.0, 100)
+    one, zero, eye = np.zeros((1, 3)), np.zeros(1, np.int64), np.eye(3)
+    _support(eye[None], eye, eye, np.ones(3), np.ones(3))
+    _aligned(eye, eye, np.ones(3), eye)
+    _fill(one, np.ones(1), eye, np.array([0, 3]), one, np.ones(1), np.ones(1), eye[None], np.ones(1, bool), np.ones((1, 1), bool))
+    _search(zero, eye[None], one - 1, one + 1, one - 1, one + 1, zero, np.array([0, 1]), np.ones(1), np.zeros(1), np.ones(1), np.ones(3), 1.0, np.ones(1), 1.0, 100)
