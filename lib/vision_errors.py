@@ -1,6 +1,7 @@
 """What the vision half found against what is true: lenses, planes, disparities, pose.  Used by the comparison alone.
 
     pose.angle_deg, pose.centre_mm          rotation between the found and the true camera, distance of their centres
+    pose.in_sigmas                          sqrt(e' C^-1 e / 6) of the six errors e, by the covariance that pose.json gives: near 1 if that is honest
     pose.vertices_px, pose.vertices_max_px  visible vertices of the model in the photograph's own pixels, each camera with its own lens: rms, worst
     lens.<side>.projection_px               rms distance between the two lenses' pixels of one direction, after the best common rotation
     lens.<side>.focal_relative              |f / f* - 1|
@@ -27,11 +28,16 @@ def angle_deg(R):
     return float(np.degrees(np.arctan2(s, (np.trace(R) - 1) / 2)))
 
 
-def pose(T, T_true):
-    """[(name, value, unit)]; T : (4, 4) world to camera."""
+def pose(T, T_true, covariance=None):
+    """[(name, value, unit)]; T : (4, 4) world to camera; covariance : (6, 6) of (omega, tau), T_true = exp(omega, tau) T, rad and m."""
     centre = lambda M: -M[:3, :3].T @ M[:3, 3]
-    return [("pose.angle_deg", angle_deg(T[:3, :3] @ T_true[:3, :3].T), "deg"),
-            ("pose.centre_mm", float(1000 * np.linalg.norm(centre(T) - centre(T_true))), "mm")]
+    out = [("pose.angle_deg", angle_deg(T[:3, :3] @ T_true[:3, :3].T), "deg"),
+           ("pose.centre_mm", float(1000 * np.linalg.norm(centre(T) - centre(T_true))), "mm")]
+    if covariance is not None:
+        from lib.cameras import rt_from_matrix
+        e = rt_from_matrix(T_true @ np.linalg.inv(T))              # to first order also the twist of se(3)
+        out.append(("pose.in_sigmas", float(np.sqrt(max(e @ np.linalg.pinv(np.asarray(covariance, float)) @ e, 0) / 6)), "sigma"))
+    return out
 
 
 def vertices(project, project_true, T, T_true, model, depth=None, size=None):
@@ -179,7 +185,7 @@ def against_truth(found, true):
     if found.get("pose") is not None:
         from lib.cameras import matrix_from_rt
         T = matrix_from_rt(found["pose"]["rt_cam_world"])
-        add("recognise", pose(T, T_true))
+        add("recognise", pose(T, T_true, found["pose"].get("covariance")))
         if model is not None and found.get("posed") is not None:
             # in the photograph's own pixels, each camera with its own lens; without lenses in the pinholes'
             pinhole = lambda camera: lambda p: (p / p[:, 2:]) @ camera.K[:2].T

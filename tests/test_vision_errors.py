@@ -35,6 +35,9 @@ def test_a_camera_turned_and_moved(office):
     moved[:3, 3] += [0.003, 0, 0.004]
     assert values(vision_errors.pose(moved, camera.T_cam_world)) == pytest.approx({"pose.angle_deg": 0, "pose.centre_mm": 5}, abs=1e-9)
 
+    sigma = np.array([1, 1, 1, 2, 2, 4.0]) * 1e-3
+    assert values(vision_errors.pose(moved, camera.T_cam_world, np.diag(sigma ** 2)))["pose.in_sigmas"] == pytest.approx(np.sqrt(((3 / 2) ** 2 + 1) / 6))
+
     def project(p):
         return (p / p[:, 2:]) @ camera.K.T[:, :2]
     found = values(vision_errors.vertices(project, project, T, camera.T_cam_world, model, buffer.depth, (camera.width, camera.height)))
