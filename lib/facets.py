@@ -250,7 +250,7 @@ def _contour_rows(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, lpar
     """Compare the left border, moved by the plane (a, b, c at (u0, v0)), with the right one, along the right one's normal.
 
     rows : out, per point used: coefficients of (a, b, c) and the residual, all over sigma; Tukey's weight; the right normal's u; part;
-    sigma, px. Returns their number.
+    sigma, px; u; v. Returns their number.
     """
     n, lo = 0, 0
     for k in range(len(luv)):
@@ -272,18 +272,20 @@ def _contour_rows(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, lpar
         if abs(du * nv - dv * nu) > 1.5:                              # beyond the border's end
             continue
         sigma = np.sqrt(lsigma[k] ** 2 + rsigma[at] ** 2 + 2 * FLOOR ** 2)
+        if sigma < 0.5 * WEAK:
+            sigma *= scale
         r = nu * du + nv * dv
-        cut = max(reach, 4.7 * scale * sigma)
+        cut = max(reach, 4.7 * sigma)
         rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = -nu * du0 / sigma, -nu * dv0 / sigma, -nu / sigma, r / sigma
         rows[n, 4] = (1 - (r / cut) ** 2) ** 2 if abs(r) < cut else 0.0
-        rows[n, 5], rows[n, 6], rows[n, 7] = nu, lpart[k], sigma
+        rows[n, 5], rows[n, 6], rows[n, 7], rows[n, 8], rows[n, 9] = nu, lpart[k], sigma, luv[k, 0], v
         n += 1
     return n
 
 
 @njit(cache=True)
 def _fit_contours(plane, u0, v0, size, reach, iterations, left, right, rows):
-    """Iterate to the plane; rows as above at the last step. Returns the plane, the scale of the residuals over sigma, and n."""
+    """Iterate to the plane; rows as above at the last step, sigma as the residuals show it. Returns the plane and n."""
     plane = plane.copy()
     A, b = np.zeros((3, 3)), np.zeros(3)
     scale, n = 1.0, 0
@@ -304,12 +306,14 @@ def _fit_contours(plane, u0, v0, size, reach, iterations, left, right, rows):
         plane[0] += s0
         plane[1] += s1
         plane[2] += s2
-        scale = max(1.4826 * np.median(np.abs(rows[:n, 3])), 1.0)
+        strong = rows[:n, 3][rows[:n, 7] < 0.5 * WEAK * scale]
+        if len(strong) >= 20:                                         # what the residuals say of sigma, unless they are too few
+            scale *= max(1.4826 * np.median(np.abs(strong)), 0.1)
         small = abs(s0) * size + abs(s1) * size + abs(s2) < 1e-4
         if reach == 0 and small:
             break
         reach = 0.6 * reach if reach > 0.3 else 0.0
-    return plane, scale, n
+    return plane, n
 
 
 def _parts(labels, label, q):
@@ -550,6 +554,8 @@ def reconstruct(pair, labels, values, left, right, *, iterations=30, progress=No
         measured.append(_measure(pair, labels, regions, edges, levels, split, int(l), int(r), iterations))
         if progress:
             progress(done / len(left))
+    together = _together([x for x in measured if not isinstance(x, str)])
+    measured = [x if isinstance(x, str) else x.widened(together) for x in measured]
     sigma_side = _side_sigma([x for x in measured if not isinstance(x, str)])
     found, refused = [], []
     for l, r, x in zip(left, right, measured):
@@ -584,7 +590,14 @@ class _Measured:
     points: int
     rms_px: float
     rows: np.ndarray
-    texture: tuple = None
+    texture: tuple = None             # (plane, A) of the intensities, or None
+
+    def widened(self, factor):
+        """The borders' variances times `factor`, and the texture added."""
+        A, b = self.A / factor, self.b / factor
+        if self.texture is not None:
+            A, b = A + self.texture[1], b + self.texture[1] @ ((self.plane - self.texture[0]) * [self.size, self.size, 1])
+        return replace(self, A=A, b=b, B=self.B / factor, C=self.C / factor, D=self.D / factor, square=self.square / factor)
 
 
 def _measure(pair, labels, regions, edges, levels, split, l, r, iterations):
@@ -605,7 +618,7 @@ def _measure(pair, labels, regions, edges, levels, split, l, r, iterations):
     contours = _contours(start, (u0, v0), size, mine, other, part, 4.0, iterations)
 
     # Texture: wherever no well located border is near, for that is measured already.
-    located = contours.rows if contours else np.empty((0, 8))
+    located = contours.rows if contours else np.empty((0, 10))
     pixels = regions[0].order[regions[0].first[l - 1]:regions[0].first[l]]
     pixels = _away(labels[0].shape, pixels, q[mine[3] < np.maximum(0.5, 3 * mine[2])])
     plane = contours.plane if contours else start
@@ -618,9 +631,7 @@ def _measure(pair, labels, regions, edges, levels, split, l, r, iterations):
     if contours is None and texture is None:
         return "borders do not meet"
     x = contours or _Measured(plane, np.array([u0, v0]), size, np.zeros((3, 3)), np.zeros(3), np.zeros((1, 3)), np.zeros(1), np.zeros(1), 0.0, 0, 0.0, located)
-    if texture is not None:
-        x = replace(x, A=x.A + texture[1], b=x.b + texture[1] @ ((x.plane - texture[0]) * [size, size, 1]), texture=texture)
-    return x
+    return replace(x, texture=texture)
 
 
 def _away(shape, pixels, q):
@@ -636,9 +647,9 @@ def _away(shape, pixels, q):
 
 def _contours(plane, uv0, size, mine, other, part, reach, iterations):
     """_Measured from the borders alone; None where they do not meet."""
-    rows = np.empty((len(mine[0]), 8))
+    rows = np.empty((len(mine[0]), 10))
     n_parts = int(part.max()) + 1
-    plane, scale, n = _fit_contours(plane, *uv0, size, reach, iterations, (*mine, part), other, rows)
+    plane, n = _fit_contours(plane, *uv0, size, reach, iterations, (*mine, part), other, rows)
     for reach in (6.0, 3.0, 1.5):
         n = _contour_rows(plane, *uv0, reach, 1.0, *mine, part, *other, rows)
         own = _own_parts(rows[:n], n_parts, size)
@@ -647,12 +658,12 @@ def _contours(plane, uv0, size, mine, other, part, reach, iterations):
         plane = plane + own[1]
     keep = own[0][part]
     mine, part = tuple(np.ascontiguousarray(x[keep]) for x in mine), part[keep]
-    plane, scale, n = _fit_contours(plane, *uv0, size, 1.0, iterations, (*mine, part), other, rows)
+    plane, n = _fit_contours(plane, *uv0, size, 1.0, iterations, (*mine, part), other, rows)
     rows = rows[:n][rows[:n, 4] > 0.1]
     if len(rows) < LEAST_POINTS:
         return None
-    J, e, w = rows[:, :3] / [size, size, 1] / scale, rows[:, 3] / scale, rows[:, 4]
-    part, one = rows[:, 6].astype(int), 1 / rows[:, 7] / scale
+    J, e, w = rows[:, :3] / [size, size, 1], rows[:, 3], rows[:, 4]
+    part, one = rows[:, 6].astype(int), 1 / rows[:, 7]
     sums = lambda x: np.bincount(part, w * x, n_parts)
     return _Measured(plane, np.array(uv0), size, (J * w[:, None]).T @ J, J.T @ (w * e), np.stack([sums(J[:, p] * one) for p in range(3)], axis=1),
                      sums(one * one), sums(one * e), float((w * e * e).sum()), len(rows),
@@ -666,6 +677,28 @@ def _with_sides(x, sigma_side):
         return x.A, x.b, x.square, 0.0
     k = 1 / (x.C + 1 / sigma_side ** 2)
     return x.A - np.einsum("p,pi,pj->ij", k, x.B, x.B), x.b - (k * x.D) @ x.B, x.square - float((k * x.D ** 2).sum()), float(np.log1p(sigma_side ** 2 * x.C).sum())
+
+
+def _together(measured):
+    """How much more (or less) the scores of neighbouring border points add up than independent ones would: their variance over 16 px of
+    a side against the sum of their variances, mean over the pair's facets."""
+    ratios = []
+    for x in measured:
+        if len(x.rows) == 0:
+            continue
+        cell = np.unique((x.rows[:, 6] * 4096 + x.rows[:, 8] // 16 % 64) * 64 + x.rows[:, 9] // 16 % 64, return_inverse=True)[1]
+        if cell.max() < 7:
+            continue
+        J = x.rows[:, :3] / [x.size, x.size, 1]
+        w = x.rows[:, 4]
+        scores = np.stack([np.bincount(cell, w * x.rows[:, 3] * J[:, k]) for k in range(3)], axis=1)
+        own = np.stack([[np.bincount(cell, w * J[:, p] * J[:, q]) for p in range(3)] for q in range(3)]).transpose(2, 0, 1)
+        inverse = np.linalg.pinv(own.sum(axis=0))
+        fitted = np.einsum("cij,cji", inverse @ own, inverse @ own)   # what the fit has taken out of the residuals
+        if fitted < 2:
+            alone = (w * x.rows[:, 3]) ** 2 @ np.einsum("ki,ij,kj->k", J, inverse, J)
+            ratios.append(np.einsum("ci,ij,cj", scores, inverse, scores) / alone * 3 / (3 - fitted))
+    return float(np.clip(np.mean(ratios), 0.5, 16)) if ratios else 1.0
 
 
 def _side_sigma(measured):

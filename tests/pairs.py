@@ -103,3 +103,70 @@ def office(angle_deg=7.0, seed=0, focal=600.0, size=(640, 480), shading=0.03, pa
     drawn = [draw(model, c, colour, shade) for c in (left, right)]
     parts = [components(f) for _, f in drawn]
     return Pair(model, left, right, tuple(d[0] for d in drawn), tuple(d[1] for d in drawn), tuple(p[0] for p in parts), tuple(p[1] for p in parts))
+
+
+# -- quadrilaterals in the air before a wall: exact planes, exact borders, a new scene for each seed, in milliseconds
+
+@dataclass(frozen=True, eq=False)
+class Quads:
+    """As Pair, without a model: label k + 1 is quadrilateral k, the wall is the last label; m : (N + 1, 3) by label."""
+
+    left: Camera
+    right: Camera
+    values: tuple
+    labels: tuple
+    m: np.ndarray
+    noisy = Pair.noisy
+
+
+def half_plane(q, n, d):
+    """Share of the unit square round each q (..., 2) on which n . x <= d."""
+    a, b = np.abs(n) + 1e-12
+    t = d - q @ n + (a + b) / 2
+    square = lambda x: np.maximum(x, 0) ** 2
+    return ((square(t) - square(t - a) - square(t - b) + square(t - a - b)) / (2 * a * b)).clip(0, 1)
+
+
+def quads(seed=0, angle_deg=7.0, size=(480, 360), focal=450.0, columns=3, rows=2, grey=False, baseline=None, tilt=0.8):
+    """columns x rows quadrilaterals of random shape, plane and colour, 2 to 4 m away. baseline : m, instead of the angle: parallel cameras."""
+    rng = np.random.default_rng([5, seed])
+    K = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    left = Camera(K, *size, np.eye(4))
+    right = turned(left, angle_deg, 3.0, twist_deg=rng.uniform(-1, 1))
+    if baseline is not None:
+        T = np.eye(4)
+        T[0, 3] = -baseline
+        right = Camera(K, *size, T)
+    wall = np.array([0, 0, 1 / 5.0])
+    m, corners, colours = [wall], [], []
+    cell = np.array(size) / [columns, rows]
+    base = rng.uniform(0.3, 0.7, 3)
+    for k in range(columns * rows):
+        middle = (np.array([k % columns, k // columns]) + 0.5) * cell
+        q = middle + cell * 0.34 * rng.uniform(0.75, 1.0, (4, 2)) * [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+        n = rng.normal(0, tilt / 2, 3).clip(-tilt, tilt) * [1, 1, 0] + [0, 0, 1]
+        v = left.directions(middle[None])[0]
+        m.append(n / (n @ v) / rng.uniform(2.2, 3.8))
+        corners.append(q)
+        colour = rng.uniform(0.05, 0.95, 3)
+        while np.abs(colour - base).max() < 0.25 or abs((colour - base).mean()) < 0.1:
+            colour = rng.uniform(0.05, 0.95, 3)
+        colours.append(colour)
+    m = np.array(m[1:] + m[:1])
+    values, labels = [], []
+    for camera in (left, right):
+        q = camera.pixels()
+        picture, label = np.broadcast_to(base, (*q.shape[:2], 3)).copy(), np.full(q.shape[:2], columns * rows + 1, np.int32)
+        for k, (ring, colour) in enumerate(zip(corners, colours)):
+            v = left.directions(ring)
+            ring = camera.project(v / (v @ m[k])[:, None])
+            cover, inside = np.ones(q.shape[:2]), np.ones(q.shape[:2], bool)
+            for a, b in zip(ring, np.roll(ring, -1, 0)):
+                n = np.array([b[1] - a[1], a[0] - b[0]]) / np.linalg.norm(b - a)
+                cover *= half_plane(q, n, n @ a)
+                inside &= q @ n <= n @ a
+            picture += cover[..., None] * (colour - base)
+            label[inside] = k + 1
+        values.append(picture.clip(0, 1).mean(axis=2, keepdims=True) if grey else picture.clip(0, 1))
+        labels.append(label)
+    return Quads(left, right, tuple(values), tuple(labels), np.vstack([np.zeros(3), m]))
