@@ -124,8 +124,8 @@ class Pose:
 @dataclass(frozen=True, eq=False)
 class Recognition:
     """poses : tuple of Pose          best first; those behind the first explain the facets as well ("ambiguous")
-    status : "unique"; "ambiguous"; "unproved": no more evidence than the search finds by chance, or for a small part of the facets only,
-             so that the photographs must decide; "not recognised": nothing to decide about
+    status : "unique"; "ambiguous"; "unproved": no more evidence than the search finds by chance, or for a small part of the facets only, or a
+             pose that they hardly hold, so that the photographs must decide; "not recognised": nothing to decide about
     why : str                     in plain words, where it is not recognised
     weight : (N,)                 evidence in nats of each scene facet
     counts : dict                 rotations, correspondences, nodes, candidates
@@ -314,22 +314,24 @@ def _rotations(seen, directions, most=200, tried=20000):
     use = (np.abs(cosine) < math.cos(0.3)) & (tolerance < 0.35)
     i, j, cosine, tolerance = i[use], j[use], cosine[use], tolerance[use]
     model_angle = np.arccos(np.clip(directions @ directions.T, -1, 1))
-    parts, number = [], 0
+    pairs, number = [], 0
     for k in np.argsort(tolerance, kind="stable"):
         a, b = np.nonzero((np.abs(model_angle - math.acos(cosine[k])) < tolerance[k]) & (np.sin(model_angle) > 0.15))
-        if len(a):
-            parts.append(_frames(seen.n[i[k]], seen.n[j[k]])[None] @ _frames(directions[a], directions[b]).transpose(0, 2, 1))
-            number += len(a)
-            if number > tried:
-                break
-    if not parts:
+        pairs.append(np.stack([np.full(len(a), k), a, b]))
+        number += len(a)
+        if number > tried:
+            break
+    if number == 0:
         return []
-    R = np.concatenate(parts)
-    score = _support(np.ascontiguousarray(R), seen.n, directions, np.cos(gate), evidence)
+    k, a, b = np.concatenate(pairs, axis=1)
+    R = _frames(seen.n[i[k]], seen.n[j[k]]) @ _frames(directions[a], directions[b]).transpose(0, 2, 1)
+    score = _support(R, seen.n, directions, np.cos(gate), evidence)
+    order = np.argsort(-score, kind="stable")
+    R, score = R[order], score[order]
     quaternion = Rotation.from_matrix(R).as_quat()
     left = np.ones(len(R), bool)
     found, kept = [], np.zeros((0, 3, 3))
-    for k in np.argsort(-score, kind="stable"):
+    for k in range(len(R)):
         if not left[k]:
             continue
         left &= np.abs(quaternion @ quaternion[k]) < math.cos(0.04 / 2)
@@ -923,10 +925,10 @@ def _judge(seen, db, weight, poses, certain, scale_free, counts):
     poses = sorted(poses, key=lambda p: (-round(p.score, 1), p.vertex_m))
     best = poses[0]
     size = 7 if scale_free else 6
-    values = np.linalg.eigvalsh(best.covariance / _unit(seen, best.scale, size))
-    if len(best.matches) < 3 or values[0] < 1 / 0.15 ** 2:
-        planes = _distinct_planes(db, best.matches[:, 1])
-        return Recognition((), "not recognised", f"only {planes} distinct planes explain {len(best.matches)} of {len(weight)} facets: the pose cannot be known", weight, counts)
+    loosest = 1 / math.sqrt(max(np.linalg.eigvalsh(best.covariance / _unit(seen, best.scale, size))[0], 1e-12))      # rad, or parts of the depth
+    planes = f"only {_distinct_planes(db, best.matches[:, 1])} distinct planes explain {len(best.matches)} of {len(weight)} facets: the pose cannot be known"
+    if len(best.matches) < 3 or loosest > 1:
+        return Recognition((), "not recognised", planes, weight, counts)
     rivals = [p for p in poses[1:] if p.score > best.score - certain]
     final = []
     for p in (best, *rivals):
@@ -935,6 +937,8 @@ def _judge(seen, db, weight, poses, certain, scale_free, counts):
         linear = p.linear.copy()
         linear[:3, 3] = linear[:3, 3] - linear[:3, :3] @ db.centre
         final.append(replace(p, T=T, covariance=np.linalg.inv(p.covariance + 1e-2 * _unit(seen, p.scale, size) * np.eye(size)), linear=linear))
+    if loosest > 0.15:
+        return Recognition(tuple(final), "unproved", planes, weight, counts)
     share = best.score / max(float(weight.sum()), 1e-12)
     if best.score < counts["chance"] + 1 or share < PROVEN_SHARE:
         why = f"the best displacement explains {len(best.matches)} of {len(weight)} facets: {best.score:.0f} nats of evidence, by chance {counts['chance']:.0f} are found"

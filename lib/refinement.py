@@ -470,10 +470,12 @@ def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, 
             r = np.concatenate([f[3] for f in found])
             if len(r) < 20:
                 return T, scale, None
+            if trace[-1]["error_px"] is None:                                   # the start: what the first search sees
+                trace[-1]["error_px"] = float(np.sqrt(np.mean(r ** 2)))
             sigma = max(1.4826 * float(np.median(np.abs(r))), 0.08 * factor)
             before = (T, scale)
             T, scale, H, parts = _solve(rig, T, scale, found, sigma, free, prior if factor > 1 or reach > 5 else None)
-            last = _Fit(H, parts, at)
+            last = _Fit(H, parts, at, [(f[0], f[2]) for f in found])
             trace.append({"iteration": len(trace), "step": "refined", "error_px": _rms(parts), "factor": factor, "samples": len(r), "rt_cam_world": rt_from_matrix(T)})
             if _moved_px(rig, before, T, scale) < (0.01 if final else 0.1) * factor:
                 break
@@ -485,6 +487,7 @@ class _Fit:
     H: np.ndarray
     parts: list
     at: list
+    where: list
 
 
 def _rms(parts):
@@ -547,6 +550,7 @@ def _paper_method(model, rig, T, scale, matches, labels, trace, iterations=400):
         if number < 3:
             break
         error = math.sqrt(cost / number)
+        trace[0]["error_px"] = trace[0]["error_px"] or error
         trace.append({"iteration": len(trace), "step": "refined", "error_px": error, "samples": number, "rt_cam_world": rt_from_matrix(T)})
         if iteration % 20 == 19 and error > before * (1 - 1e-3):
             break
@@ -558,18 +562,35 @@ def _paper_method(model, rig, T, scale, matches, labels, trace, iterations=400):
 def _covariance(fit):
     """Of the step, by clusters: errors along one edge go together, whatever their cause (lens, light, the model), so each edge is one witness.
 
-    The sandwich H^-1 (sum over edges g g^T) H^-1 with g the edge's gradient (Liang and Zeger 1986), times E / (E - p).
+    The jackknife over edges: leaving edge e out moves the solution by (H - A_e)^-1 g_e, with A_e and g_e the edge's share of the normal
+    matrix and its gradient; the covariance is the sum of the squares (CR3; Bell and McCaffrey 2002). It knows that a long edge bends the
+    solution towards itself.
     """
     size = len(fit.H)
-    g = {}
+    A, g = {}, {}
     for (J, r, w), (edge, _) in zip(fit.parts, fit.at):
-        for e in np.unique(edge):
-            mine = edge == e
-            g[e] = g.get(e, np.zeros(size)) + (w[mine] * r[mine]) @ J[mine]
-    G = np.array(list(g.values()))
-    inverse = np.linalg.pinv(fit.H, rcond=1e-14)
-    E = len(G)
-    return inverse @ (G.T @ G) @ inverse * (E / max(E - size, 1))
+        order = np.argsort(edge, kind="stable")
+        for part in np.split(order, np.flatnonzero(np.diff(edge[order])) + 1):
+            if len(part):
+                e = edge[part[0]]
+                A[e] = A.get(e, np.zeros((size, size))) + (w[part, None] * J[part]).T @ J[part]
+                g[e] = g.get(e, np.zeros(size)) + (w[part] * r[part]) @ J[part]
+    unit = np.sqrt(np.maximum(np.diag(fit.H), 1e-300))
+    scaled = np.outer(unit, unit)
+    moves = np.array([np.linalg.lstsq((fit.H - A[e]) / scaled, g[e] / unit, rcond=1e-9)[0] for e in g])
+    return moves.T @ moves / scaled
+
+
+def _lens_covariance(fit, rig, T, scale, lens_px):
+    """What the cameras' own error adds: principal points known to lens_px, focal lengths so that the corners are, each camera by itself."""
+    inverse, total = np.linalg.pinv(fit.H), 0.0
+    for side, (s, (J, r, w), (p, normal)) in enumerate(zip(rig.sides, fit.parts, fit.where)):
+        q = _project(rig, side, T, scale, p)
+        K = s.camera.K
+        for change in (np.array([1.0, 0]), np.array([0, 1.0]), (q - K[:2, 2]) / np.hypot(K[0, 2], K[1, 2])):
+            move = inverse @ ((w * (normal * change).sum(axis=1)) @ J) * lens_px
+            total = total + np.outer(move, move)
+    return total
 
 
 def _evidence(model, edges, rig, pyramids, T, scale):
@@ -594,19 +615,20 @@ def _evidence(model, edges, rig, pyramids, T, scale):
     return f, f0, number / 5 * (f * math.log(0.6 / f0) + (1 - f) * math.log(0.4 / (1 - f0))) if f0 < 0.6 else 0.0
 
 
-def refine(model, sides, found, labels=None, *, method="edges", certain=8.0) -> Refined:
+def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, certain=8.0) -> Refined:
     """The recognised poses refined and judged by the photographs.
 
     sides : Side of the left photograph, and of the right one if there is one
     found : recognition.Recognition, "unique" or "ambiguous"; each of its poses is refined
     labels : (N, 2) of the scene facets' regions, for method "paper"
+    lens_px : how well the cameras' own projections are known: it goes into the covariance
     certain : nats by which the photographs must prefer a pose to call the others wrong
     """
     rig = _rig(sides)
     free = found.poses[0].covariance.shape == (7, 7)
     edges = model_edges(model)
     pyramids = [_pyramid(side.photograph, 16) for side in sides]
-    results = [_refine_one(model, edges, rig, pyramids, pose, free, method, labels) for pose in found.poses[:6]]
+    results = [_refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px) for pose in found.poses[:6]]
     order = sorted(range(len(results)), key=lambda k: -results[k].evidence)
     best = results[order[0]]
     others = [results[k] for k in order[1:] if results[k].evidence > best.evidence - certain]
@@ -632,7 +654,7 @@ def _rig(sides):
     return _Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides))
 
 
-def _refine_one(model, edges, rig, pyramids, pose, free, method, labels):
+def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px):
     """The pose refined from several coarsenesses; that which the photographs support most."""
     start = {"iteration": 0, "step": "linear", "error_px": None, "rt_cam_world": rt_from_matrix(pose.linear)}
     prior = (np.linalg.inv(9 * pose.covariance), pose.T, pose.scale)
@@ -644,7 +666,7 @@ def _refine_one(model, edges, rig, pyramids, pose, free, method, labels):
     wanted, factor, tried = _start_px(rig, pose), 1, []
     while True:
         schedule = [(f, reach) for f in (16, 8, 4, 2, 1) if f <= factor for reach in (8.0, 5.0)]
-        trace = [start]
+        trace = [dict(start)]
         T, scale, fit = _edges_method(model, edges, rig, pyramids, pose.T, pose.scale, free, schedule, trace, prior)
         tried.append((_evidence(model, edges, rig, pyramids, T, scale)[2], T, scale, trace))
         factor *= 2
@@ -653,7 +675,7 @@ def _refine_one(model, edges, rig, pyramids, pose, free, method, labels):
     _, T, scale, trace = max(tried, key=lambda t: t[0])
     T, scale, fit = _edges_method(model, edges, rig, pyramids, T, scale, free, [(1, 3.0), (1, 2.0)], trace)
     support, chance, evidence = _evidence(model, edges, rig, pyramids, T, scale)
-    covariance = _covariance(fit)[:6, :6] if fit is not None else pose.covariance[:6, :6]
+    covariance = pose.covariance[:6, :6] if fit is None else (_covariance(fit) + _lens_covariance(fit, rig, T, scale, lens_px))[:6, :6]
     return Refined(rig.cameras(T, scale), covariance, scale, _rms(fit.parts) if fit else None, support, chance, evidence, trace)
 
 

@@ -26,6 +26,7 @@ def options():
     for name in ("orientation", "report"):
         parser.add_argument(f"--{name}")
     parser.add_argument("--method", choices=("edges", "paper"), default="edges", help="of the refinement: edges at sub-pixel by a trust region, or the paper's gradient on vertices")
+    parser.add_argument("--lens-px", type=float, default=0.1, help="how well the cameras' own projections are known, px: it goes into the covariance")
     return parser
 
 
@@ -58,7 +59,7 @@ def main(opt):
         if found.status == "not recognised":
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}")
         with report.timing("refine"):
-            result = refinement.refine(model, sides, found, scene.labels, method=opt.method)
+            result = refinement.refine(model, sides, found, scene.labels, method=opt.method, lens_px=opt.lens_px)
         if result.status == "not recognised":
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that pose's edges")
         for step in result.trace:

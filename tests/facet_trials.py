@@ -152,6 +152,36 @@ def facets_seen(random, model, camera, *, spurious=0.5, baseline=0.3, most=14, l
     return facets, np.array([truth[i] for i in order], int)
 
 
+def photograph(random, model, camera, noise=0.01, gamma=2.2, finer=4):
+    """What an index buffer drawn `finer` times as fine shows when each facet has a colour and light falls off along it; display values, 8 bit."""
+    import cv2
+
+    from lib.image import Photograph
+
+    K = np.array([[finer, 0, (finer - 1) / 2], [0, finer, (finer - 1) / 2], [0, 0, 1]]) @ camera.K
+    fine = Camera(K, finer * camera.width, finer * camera.height, camera.T_cam_world)
+    index = draw(model, fine)
+    colour = random.uniform(0.08, 0.8, (len(model.groups), 3))[model.facet_group] * random.uniform(0.6, 1.1, (model.n_facets, 1))
+    p = fine.directions(fine.pixels()) * index.depth[..., None]
+    fall = 1 / (1 + 0.1 * np.abs(p @ random.normal(size=3) * 0.5 - 1))
+    light = np.where(index.facet[..., None] >= 0, colour[index.facet], 0) * fall[..., None]
+    light = cv2.resize(light, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    shown = np.clip(light, 0, 1) ** (1 / gamma) + noise * random.normal(size=light.shape)
+    return Photograph(np.round(255 * np.clip(shown, 0, 0.98)) / 255, 8, False, 3)
+
+
+def room_trial(seed, folder, rooms_=3, **options):
+    """(model, camera) of a seed; what is left of `options` goes to polygons_of_rooms."""
+    import rooms
+
+    from lib import model as models
+
+    random = np.random.default_rng(seed)
+    things, boxes = polygons_of_rooms(random, rooms_, **options)
+    model = models.load(rooms.write(folder / "model.obj", things))
+    return random, things, model, camera_in(random, model, *boxes[random.integers(len(boxes))])
+
+
 def pose_error(T, camera, scene_depth=3.0):
     """(degrees, metres): the turn, and how far a point at the scene's depth before the camera is put wrong."""
     D = T @ np.linalg.inv(camera.T_cam_world)
