@@ -19,17 +19,20 @@ BENT = 0.1                   # OpenCV's k1, one sigma: phones straighten their p
 EXIF = 0.05                  # relative: rounding to mm, breathing with the focus, crops
 DEFAULT, WIDE = 1.2, 0.35    # COLMAP's default focal length in widths, and sigma of log f of phones to short telephotos
 USEFUL = 0.25                # a witness with a larger sigma of log f has seen nothing
+MODEL = 0.005                # relative: one lens for both photographs, square pixels
 TOLERANCE = np.radians(1.5)  # between a segment and the direction to its vanishing point
 
 
 @dataclass(frozen=True)
 class Focal:
-    """f, sigma : px; assumed : nobody saw anything, f is a default; witnesses : [{from, f, sigma}]"""
+    """f, sigma : px; assumed : nobody saw anything, f is a default; witnesses : [{from, f, sigma}]
+    bent : {k1, sigma} of the radial distortion that straight edges show, or None"""
 
     f: float
     sigma: float
     assumed: bool
     witnesses: tuple
+    bent: dict | None
 
     @property
     def origin(self):
@@ -69,7 +72,7 @@ def _towards(ends, v):
 
 
 def vanishing(ends, size, random, hypotheses=3000):
-    """(log f, sigma of log f) from three directions at right angles, or None where the picture shows no such.
+    """(log f, its sigma, k1, its sigma) from three directions at right angles, or None where the picture shows no such.
 
     ends : (N, 2, 2) px; size : (w, h). Hypotheses: four segments, two vanishing points, f from their right angle; scored by the
     length of the segments that point to one of the three; then all of f, axis and rotation together, axis held by CENTRE."""
@@ -163,15 +166,16 @@ def _straightened(x, state):
     return x - centred * state[3] * (centred ** 2).sum(-1, keepdims=True) / np.exp(2 * state[0])
 
 
-def epipolar(sizes, q_left, q_right, random, samples=30):
+def epipolar(size, q_left, q_right, random, samples=30):
     """(log f, sigma) of one lens for both photographs, in widths, by bundle over pose and f; None where the matches do not tell.
 
     The spread is the bootstrap's: near Sturm's critical motions it is as wide as the search, and the witness is dropped."""
     from lib import orientation
     from lib.stage import BadInput
 
-    width, height = sizes[0]
-    pair = lambda log_f: cameras.Camera(np.array([[width * np.exp(log_f), 0, (width - 1) / 2], [0, width * np.exp(log_f), (height - 1) / 2], [0, 0, 1]]), width, height, np.eye(4))
+    width, height = size
+    unit = max(size)
+    pair = lambda log_f: cameras.Camera(np.array([[unit * np.exp(log_f), 0, (width - 1) / 2], [0, unit * np.exp(log_f), (height - 1) / 2], [0, 0, 1]]), width, height, np.eye(4))
     starts = []
     for log_f in np.log([0.6, 1.0, 1.7]):
         try:
@@ -225,25 +229,26 @@ def focal_length(paths, greys):
             witnesses[side].append({"from": "EXIF", "log_f": float(np.log(noted / max(size))), "sigma": EXIF})
         found = vanishing(segments(grey), size, random)
         if found:
-            witnesses[side].append({"from": "right angles", "log_f": found[0], "sigma": found[1]})
+            witnesses[side].append({"from": "right angles", "log_f": found[0], "sigma": found[1], "k1": found[2], "k1_sigma": found[3]})
     if same:
         witnesses[0] = witnesses[1] = witnesses[0] + witnesses[1]
-        if size := sizes[0]:
-            found = epipolar(sizes, *orientation.match(*greys), random) if size[0] >= size[1] else None
-        if found:
+        if found := epipolar(sizes[0], *orientation.match(*greys), random):
             witnesses[0].append({"from": "epipolar geometry", "log_f": found[0], "sigma": found[1]})
     return [_join(w, max(size)) for w, size in zip(witnesses, sizes)]
 
 
 def _join(witnesses, width):
     useful = [w for w in witnesses if w["sigma"] < USEFUL]
+    edges = [w for w in useful if "k1" in w]
+    weights = np.array([w["k1_sigma"] ** -2 for w in edges])
+    bent = {"k1": float(weights @ [w["k1"] for w in edges] / weights.sum()), "sigma": float(weights.sum() ** -0.5)} if edges else None
     told = tuple({"from": w["from"], "f": width * float(np.exp(w["log_f"])), "sigma": width * float(np.exp(w["log_f"])) * w["sigma"]} for w in useful)
     if not useful:
-        return Focal(DEFAULT * width, DEFAULT * WIDE * width, True, ())
+        return Focal(DEFAULT * width, DEFAULT * WIDE * width, True, (), None)
     log_f, sigma = np.array([w["log_f"] for w in useful]), np.array([w["sigma"] for w in useful])
     weight = sigma ** -2
     mean, joint = float((weight * log_f).sum() / weight.sum()), weight.sum() ** -0.5
     if len(useful) > 1:                                              # witnesses that contradict each other are worth less (Birge 1932)
         joint *= max(1.0, np.sqrt((weight * (log_f - mean) ** 2).sum() / (len(useful) - 1)))
-    f = width * float(np.exp(mean))
-    return Focal(f, f * float(joint), False, told)
+    f, joint = width * float(np.exp(mean)), np.hypot(joint, MODEL)
+    return Focal(f, f * float(joint), False, told, bent)

@@ -99,7 +99,7 @@ def _calibrate(boards, corners, square_m, sizes, lens, focal, folder):
     folder.mkdir(parents=True, exist_ok=True)
     # mrcal tells shots apart by the number in the name, and reads the pictures for their size only
     names = tuple(tuple(f"{side}-{n:05d}.png" for n in range(boards.q.shape[1])) for side in SIDES)
-    files.write_vnl(folder / "corners.vnl", files.Boards(names, boards.q))
+    files.write_vnl(folder / "corners.vnl", files.Boards(names, boards.q, boards.level))
     for side in (0, 1):
         blank = folder / names[side][0]
         image.write_png8(blank, np.zeros(sizes[side][::-1], np.uint8))
@@ -123,8 +123,9 @@ def solve(boards, corners, square_m, sizes, lens, folder):
     require_mrcal()
     seen = boards.seen
     for side in (0, 1):
-        if not seen[side].any():
-            raise BadInput(f"boards: {SIDES[side]}: no board of {corners[0]} x {corners[1]} inner corners was found in any of {seen.shape[1]} images")
+        if seen[side].sum() < 2:
+            raise BadInput(f"boards: {SIDES[side]}: a board of {corners[0]} x {corners[1]} inner corners was found in {seen[side].sum()} of {seen.shape[1]} images; "
+                           "a lens needs two at the very least, and ten to be known")
     if not (seen[0] & seen[1]).any():
         raise BadInput("boards: no shot shows the board to both cameras, so their relative pose is unknown")
     some = np.flatnonzero(seen.any(0))
@@ -136,7 +137,7 @@ def solve(boards, corners, square_m, sizes, lens, folder):
             why = f"{int((seen[0] & seen[1]).sum())} shots that both cameras see are too few for two halves of {LEAST // 2}"
         halves.append(half)
     sets = [some] + (halves if why is None else [])
-    take = lambda which: files.Boards(tuple(tuple(np.array(names)[which]) for names in boards.names), boards.q[:, which])
+    take = lambda which: files.Boards(tuple(tuple(np.array(names)[which]) for names in boards.names), boards.q[:, which], boards.level[:, which])
     focal = focal_guess(boards, corners, sizes)
 
     def run(number):
@@ -194,7 +195,7 @@ def _summary(solution, raw, distance_of):
         f = camera["intrinsics"][:4]
         cameras[name] = {
             "lens": camera["lens"], "size": [width, height], "fx": f[0], "fy": f[1], "cx": f[2], "cy": f[3], "intrinsics": camera["intrinsics"],
-            "rms_px": float(rms), "boards": sum(c > 0 for c in counts), "corners": total, "outliers": sum(len(v["outliers"]) for v in views), "views": views,
+            "rms": float(rms), "boards": sum(c > 0 for c in counts), "corners": total, "outliers": sum(len(v["outliers"]) for v in views), "views": views,
             "uncertainty": {"distance_m": distance, "columns_px": q[0, :, 0], "rows_px": q[:, 0, 1], "sigma_px": _listed(sigma),
                             "centre_px": _worst(sigma[centre]), "corners_px": corner},
             "cross_validation": None if difference is None else {
@@ -260,7 +261,10 @@ def verdict(answer):
         if camera["tilt_deg"] < TILT:
             reasons.append(f"too few tilted boards: {name}'s differ by {camera['tilt_deg']:.0f} degrees at most, so focal length and distance look alike")
         if camera["coverage"]["unreached"]:
-            reasons.append(f"boards do not reach the {' and '.join(camera['coverage']['unreached'])} of {name}'s picture")
+            unreached = camera["coverage"]["unreached"]
+            there = [camera["uncertainty"]["corners_px"][corner] for corner in unreached]
+            known = "unknown there" if None in there else f"{_two(max(there))} px there"
+            reasons.append(f"boards do not reach {'any corner' if len(unreached) == 4 else 'the ' + ', '.join(unreached)} of {name}'s picture ({known})")
         seen = camera["corners"] + camera["outliers"]
         if camera["outliers"] > 0.05 * seen:
             reasons.append(f"{100 * camera['outliers'] / seen:.0f} % of {name}'s corners fit no board")
@@ -268,10 +272,13 @@ def verdict(answer):
             reasons.append(f"{name}: the halves differ {half / sigma:.0f} times more than the corners' noise explains: another lens model, or a bent board")
     if answer["no_cross_validation"]:
         reasons.append(f"no cross-validation: {answer['no_cross_validation']}")
+    pair = answer["pair"]
+    if pair["baseline_m"] < 5 * pair["baseline_sigma_m"]:
+        reasons.append(f"both cameras stand at one place (baseline {1000 * pair['baseline_m']:.2g} mm, sigma {1000 * pair['baseline_sigma_m']:.2g}): nothing tells distances")
     good = None if None in worst else max(worst)
     word = "unknown" if good is None else "good" if good <= GOOD else "fair" if good <= FAIR else "poor"
     line = f"{word}: nowhere certain" if good is None else f"{word} to {_two(good)} px at {_two(answer['distance_m'])} m"
-    range_sigma = answer["pair"]["range_sigma_m"]
+    range_sigma = pair["range_sigma_m"]
     if good is not None and range_sigma is not None:
         line += f" (range to {_two(1000 * range_sigma)} mm)"
     return good, "; ".join([line, *reasons]), reasons
@@ -283,10 +290,10 @@ def _two(value):
     >>> _two(0.01234), _two(3.0), _two(1234.0)
     ('0.012', '3.0', '1200')
     """
-    if value == 0:
-        return "0"
+    if value == 0 or not np.isfinite(value):
+        return str(value)
     digits = 1 - int(np.floor(np.log10(abs(value))))
-    return f"{round(value, digits):.{max(digits, 0)}f}"
+    return f"{round(float(value), digits):.{max(digits, 0)}f}"
 
 
 # ---- the stage's two ways ----
@@ -302,13 +309,13 @@ class Calibration:
     def errors(self):
         """(name, value, unit, against) for the report."""
         for name, camera in self.answer["cameras"].items():
-            if "rms_px" in camera:
-                yield f"rms_{name}", camera["rms_px"], "px", "the boards' corners"
+            if "rms" in camera:
+                yield f"rms_{name}", camera["rms"], "px", "the boards' corners"
                 yield f"uncertainty_{name}", camera["uncertainty"]["centre_px"], "px", f"one sigma at {_two(self.answer['distance_m'])} m, worst in the middle {100 * CENTRE:.0f} %"
                 if camera["cross_validation"]:
                     yield f"cross_validation_{name}", camera["cross_validation"]["centre_rms_px"], "px", "between calibrations by half the boards each, RMS in the middle"
             else:
-                yield f"focal_sigma_{name}", camera["focal_sigma"], "px", camera["focal_from"]
+                yield f"focal_sigma_{name}", camera["sigma"], "px", camera["focal_from"]
         pair = self.answer.get("pair")
         if pair:
             yield "baseline_sigma", pair["baseline_sigma_m"], "m", "the corners' noise"
@@ -319,7 +326,7 @@ class Calibration:
 
         for path, text in zip((camera, camera_right), self.texts):
             Path(path).write_text(text, encoding="utf-8")
-        files.write_vnl(corners, self.boards or files.Boards(((), ()), np.zeros((2, 0, 1, 1, 2))))
+        files.write_vnl(corners, self.boards or files.Boards(((), ()), np.zeros((2, 0, 1, 1, 2)), np.zeros((2, 0, 1, 1))))
         artefact.write_json(calibration, self.answer)
 
 
@@ -339,17 +346,44 @@ def from_boards(folder, board, lens, photographs, report, scratch):
             sizes = _sizes(folder, photographs)
         else:
             found, sizes = files.detect(files.pairs(folder), corners, Bar("corners"))
+    with report.timing("solve"):
+        solution = solve(found, corners, square_m, sizes, lens, scratch)
     for side, seen in enumerate(found.seen):
         blank = [name for name, there in zip(found.names[side], seen) if not there]
         if blank:
             report.warning(f"{SIDES[side]}: no board found in {len(blank)} of {len(seen)} images: {', '.join(blank[:5])}{', ...' if len(blank) > 5 else ''}")
-    with report.timing("solve"):
-        solution = solve(found, corners, square_m, sizes, lens, scratch)
     with report.timing("distance"):
         distance = scene_distance(solution.models, photographs) if photographs else None
     with report.timing("uncertainty"):
         answer = judge(solution, distance)
     return Calibration(answer, tuple(Path(m).read_text(encoding="utf-8") for m in solution.models), found)
+
+
+def from_pair(photographs, report):
+    """The lenses alone, as pinholes of one centre, from the photographs: lib/autocalibration.py. The unit is the baseline."""
+    from lib import autocalibration, boards as files
+
+    if photographs is None:
+        raise BadInput("calibrate: neither boards nor a pair of photographs: nothing tells the lens")
+    with report.timing("focal length"):
+        greys = [files.grey8(path) for path in photographs]
+        focals = autocalibration.focal_length(photographs, greys)
+    entries, texts, reasons = {}, [], []
+    for name, grey, focal in zip(SIDES, greys, focals):
+        height, width = grey.shape
+        cx, cy = (width - 1) / 2, (height - 1) / 2
+        entries[name] = {"lens": "LENSMODEL_PINHOLE", "size": [width, height], "fx": focal.f, "fy": focal.f, "cx": cx, "cy": cy, "sigma": focal.sigma,
+                         "assumed": focal.assumed, "focal_from": focal.origin, "witnesses": list(focal.witnesses), "bent": focal.bent}
+        texts.append(f"{{\n 'lensmodel': 'LENSMODEL_PINHOLE',\n 'intrinsics': [ {focal.f!r}, {focal.f!r}, {cx!r}, {cy!r},],\n"
+                     f" 'extrinsics': [ 0., 0., 0., 0., 0., 0.,],\n 'imagersize': [ {width}, {height},],\n}}\n")
+        if focal.assumed:
+            reasons.append(f"{name}: neither the file nor right angles nor the matches tell the focal length: {_two(autocalibration.DEFAULT)} picture widths are assumed; boards would tell")
+        if focal.bent and abs(focal.bent["k1"]) > max(3 * focal.bent["sigma"], 0.02):
+            reasons.append(f"{name}: straight edges are bent (k1 = {_two(focal.bent['k1'])}), which a pinhole does not know: boards would tell")
+    worst = max(focals, key=lambda focal: focal.sigma / focal.f)
+    line = "unknown: a focal length is assumed" if worst.assumed else f"focal length to {_two(100 * worst.sigma / worst.f)} %, from {worst.origin}"
+    answer = {"unit": "baseline", "from": "pair", "cameras": entries, "pair": None, "good_to_px": None, "verdict": "; ".join([line, *reasons]), "reasons": reasons}
+    return Calibration(answer, tuple(texts), None)
 
 
 def _sizes(folder, photographs):

@@ -74,7 +74,17 @@ class Lens:
             return np.concatenate([x, 1 - r2], -1) / (1 + r2)
         if len(self.intrinsics) > 4:
             x = _undistort(x, self.intrinsics[4:])
-        return np.concatenate([x, np.ones_like(x[..., :1])], -1)
+        return np.concatenate([x, np.where(np.isfinite(x[..., :1]), 1.0, np.nan)], -1)
+
+    def unfolded(self, x, samples=32):
+        """(..., 2) tangents -> (...) bool: from the axis to x the formula has not turned back. Beyond its turn a polynomial maps rays
+        from outside into the picture, which would then show things twice. The lenses without a polynomial here do not turn back."""
+        if self.model not in OWN or len(self.intrinsics) == 4:
+            return np.ones(np.shape(x)[:-1], bool)
+        straight = np.ones(np.shape(x)[:-1], bool)
+        for share in np.arange(1, samples + 1) / samples:
+            straight &= _rising(_distort(share * np.asarray(x, float), self.intrinsics[4:])[1])
+        return straight
 
     def _mrcal(self, verb, given, width):
         from lib import calibration
@@ -105,6 +115,11 @@ def _distort(x, k):
     return out, J
 
 
+def _rising(J):
+    """(..., 2, 2) -> bool: neither mirrored nor turned back."""
+    return (J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0] > 1e-9) & (J[..., 0, 0] + J[..., 1, 1] > 0)
+
+
 def _undistort(y, k, steps=12):
     """The x whose distortion is y, by Newton along the line from the axis to y: each step starts from the one before, so that
     the branch around the axis is the one that is followed; nan where it folds (a Jacobian that is not positive) first."""
@@ -112,9 +127,8 @@ def _undistort(y, k, steps=12):
     for share in [*np.arange(1, steps + 1) / steps, 1.0, 1.0]:
         for _ in range(3):
             out, J = _distort(x, k)
-            det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-            lost |= ~(det > 1e-9) | ~(J[..., 0, 0] + J[..., 1, 1] > 0)
-            det = np.where(lost, 1.0, det)
+            lost |= ~_rising(J)
+            det = np.where(lost, 1.0, J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0])
             e = np.where(lost[..., None], 0.0, out - share * y)
             x = x - np.stack([J[..., 1, 1] * e[..., 0] - J[..., 0, 1] * e[..., 1], J[..., 0, 0] * e[..., 1] - J[..., 1, 0] * e[..., 0]], -1) / det[..., None]
     error = np.abs(_distort(x, k)[0] - y).max(-1)
@@ -153,7 +167,7 @@ def read(path) -> Lens:
 def pinhole(lens):
     """(cameras.Camera, share of the photograph's area that its picture shows): the pinhole of the same size and pose.
 
-    fx, fy, cx, cy are the lens's own where every pixel then lies inside the photograph; else fx and fy grow together, as
+    fx, fy, cx, cy are the lens's own where every pixel then lies inside the photograph, on the lens's own branch; else fx and fy grow together, as
     little as need be. A lens that sees more (barrel, fisheye) loses what lies outside: a pinhole cannot hold it at this focal length.
     BadInput where no focal length does: the axis (cx, cy) points past the picture, or the lens folds back at once.
     """
@@ -161,14 +175,11 @@ def pinhole(lens):
         raise BadInput(f"{lens.path}: intrinsics: cx, cy = {lens.intrinsics[2]:g}, {lens.intrinsics[3]:g} lies outside the picture of {lens.width} x {lens.height}: no pinhole looks there")
     border = _border(lens.width, lens.height)
     size = np.array([lens.width - 1, lens.height - 1])
-    seen = lens.unproject(border)                                   # the photograph's own rim, on the branch around the axis
-    limit = _rim(seen, border, lens)
 
     def inside(K, q):
-        v = np.concatenate([(q - K[:2, 2]) / [K[0, 0], K[1, 1]], np.ones((len(q), 1))], -1)
-        y = lens.project(v)
-        angle, radius = np.arctan2(v[:, 1] * lens.intrinsics[1], v[:, 0] * lens.intrinsics[0]), np.linalg.norm(v[:, :2], axis=1)
-        return bool((np.isfinite(y).all(-1) & (y >= -1e-6).all(-1) & (y <= size + 1e-6).all(-1) & (radius <= limit(angle))).all())
+        x = (q - K[:2, 2]) / [K[0, 0], K[1, 1]]
+        y = lens.project(np.concatenate([x, np.ones((len(q), 1))], -1))
+        return bool((np.isfinite(y).all(-1) & (y >= -1e-6).all(-1) & (y <= size + 1e-6).all(-1) & lens.unfolded(x)).all())
 
     K = lens.K
     if not inside(K, border):
@@ -194,23 +205,6 @@ def _border(width, height, step=1.0):
     x, y = np.linspace(0, width - 1, max(2, int(width / step))), np.linspace(0, height - 1, max(2, int(height / step)))
     sides = [np.stack([x, 0 * x], -1), np.stack([0 * y + width - 1, y], -1), np.stack([x[::-1], 0 * x + height - 1], -1), np.stack([0 * y, y[::-1]], -1)]
     return np.concatenate([side[:-1] for side in sides])
-
-
-def _rim(seen, border, lens):
-    """angle -> the largest tangent at which a ray is on the lens's own branch, from the photograph's rim, seen as rays.
-
-    Beyond the rim a lens's polynomial may fold back into the picture; such pixels would show what is not there."""
-    forward = np.isfinite(seen).all(-1) & (seen[:, 2] > 0)
-    if not forward.any():
-        return lambda angle: np.full(np.shape(angle), np.inf if np.isfinite(seen).all() else 0.0)
-    t = seen[forward, :2] / seen[forward, 2:]
-    angle = np.arctan2(t[:, 1] * lens.intrinsics[1], t[:, 0] * lens.intrinsics[0])
-    radius = np.linalg.norm(t, axis=1)
-    order = np.argsort(angle)
-    angle, radius = angle[order], radius[order]
-    if not forward.all():                                            # where the rim is beyond the fold or the horizon: the nearest known
-        radius = np.where(np.isfinite(radius), radius, np.inf)
-    return lambda a: np.interp(a, angle, radius, period=2 * math.pi) * (1 + 1e-6) + 1e-9
 
 
 def source(lens, camera):

@@ -78,7 +78,9 @@ def triangulated(models, distance):
     p = mrcal.unproject(np.array([(width - 1) / 2, (height - 1) / 2]), *models[0].intrinsics(), normalize=True) * distance
     q_right = mrcal.project(mrcal.transform_point_rt(models[1].extrinsics_rt_fromref(), p), *models[1].intrinsics())
     q = np.array([[(width - 1) / 2, (height - 1) / 2], q_right])
-    _, _, variance, _ = mrcal.triangulate(q, models, q_calibration_stdev=-1)
+    found, variance = mrcal.triangulate(q, models, q_calibration_stdev=-1)
+    if not np.any(found):                                            # the rays diverge
+        return None
     v = p / np.linalg.norm(p)
     return float(np.sqrt(max(0, v @ variance.reshape(3, 3) @ v)))
 
@@ -103,10 +105,7 @@ def judge(request):
             camera["difference_px"] = listed(difference)
         answer["cameras"].append(camera)
     answer["distance_m"] = distance
-    try:
-        answer["pair"]["range_sigma_m"] = triangulated(models, distance)
-    except Exception as error:                                       # mrcal's; a pair that diverges has no such point
-        answer["pair"]["range_sigma_m"], answer["pair"]["range_why"] = None, str(error)
+    answer["pair"]["range_sigma_m"] = triangulated(models, distance)
     if request["halves"]:
         poses = [mrcal.cameramodel(pair[1]).extrinsics_rt_fromref() for pair in request["halves"]]
         answer["pair"]["halves_baseline_m"] = [float(np.linalg.norm(rt[3:])) for rt in poses]
