@@ -244,6 +244,8 @@ def noise(values, labels):
 
 FLOOR = 0.03                      # px: pixels are not ideal windows, light does not mix in display values: no border point is better
 
+LEAST_SCALE = 0.05                # of the residuals over sigma: pictures without any noise are still no better known than this
+
 
 @njit(cache=True)
 def _contour_rows(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, lpart, ruv, rnormal, rsigma, rbend, rows):
@@ -308,7 +310,7 @@ def _fit_contours(plane, u0, v0, size, reach, iterations, left, right, rows):
         plane[2] += s2
         strong = rows[:n, 3][rows[:n, 7] < 0.5 * WEAK * scale]
         if len(strong) >= 20:                                         # what the residuals say of sigma, unless they are too few
-            scale *= max(1.4826 * np.median(np.abs(strong)), 0.1)
+            scale = max(scale * max(1.4826 * np.median(np.abs(strong)), 0.1), LEAST_SCALE)
         small = abs(s0) * size + abs(s1) * size + abs(s2) < 1e-4
         if reach == 0 and small:
             break
@@ -493,13 +495,20 @@ def _texture(pair, level, split, labels, l, r, pixels, plane, uv0, size, iterati
     mix = np.linalg.solve(A[3:, 3:], A[3:, :3])                       # what gain and offset take away
     P = J[:, :3] - J[:, 3:] @ mix
     information = (P * w[:, None]).T @ P
-    # Neighbours err together (smoothing, interpolation, what the plane does not explain): sums over tiles of 8 x 8 pixels show how much.
-    tile = np.unique((x[:, 7] // 8).astype(int) * 100000 + (x[:, 6] // 8).astype(int), return_inverse=True)[1]
-    if tile.max() < 5:
+    # Neighbours err together (smoothing, interpolation, what the plane does not explain): sums over tiles show how much, but for what
+    # reaches across the tiles' edges; and Tukey's weights make the minimum flatter than the weighted squares are.
+    for side in (16, 8):
+        tile = np.unique((x[:, 7] // side) * 1e5 + x[:, 6] // side, return_inverse=True)[1]
+        if tile.max() >= 24:
+            break
+    if tile.max() < 6:
         return None
+    z2 = np.minimum((e / (4.7 * scale)) ** 2, 1)
+    steep = (P ** 2).sum(axis=1)
+    flat = max(float(((1 - z2) * (1 - 5 * z2)) @ steep / (w @ steep)), 0.3)
     scores = np.stack([np.bincount(tile, w * e * P[:, k]) for k in range(3)], axis=1)
-    together = np.einsum("ti,ij,tj", scores, np.linalg.pinv(information), scores) / 3 * len(scores) / (len(scores) - 3)
-    return plane, information / max(together, s * s)
+    together = np.einsum("ti,ij,tj", scores, np.linalg.pinv(information), scores) / 3 * len(scores) / (len(scores) - 3) * (1 + 0.9 / side) ** 2
+    return plane, information * flat ** 2 / max(together, s * s)
 
 
 # -- from measurements to facets
@@ -697,7 +706,8 @@ def _together(measured):
         fitted = np.einsum("cij,cji", inverse @ own, inverse @ own)   # what the fit has taken out of the residuals
         if fitted < 2:
             alone = (w * x.rows[:, 3]) ** 2 @ np.einsum("ki,ij,kj->k", J, inverse, J)
-            ratios.append(np.einsum("ci,ij,cj", scores, inverse, scores) / alone * 3 / (3 - fitted))
+            if alone > 0:
+                ratios.append(np.einsum("ci,ij,cj", scores, inverse, scores) / alone * 3 / (3 - fitted))
     return float(np.clip(np.mean(ratios), 0.5, 16)) if ratios else 1.0
 
 
@@ -717,6 +727,18 @@ def _side_sigma(measured):
     return float(grid[cost.sum(axis=0).argmin()]) if len(measured) else 0.0
 
 
+def _disagreement(x, A, b):
+    """Where borders and texture contradict each other beyond 95 % of chance, how much wider the covariance must be: >= 1.
+
+    A, b : of both. With x = -A^-1 b, and the same of the texture alone, the step between them has the covariance T^-1 - A^-1."""
+    if x.texture is None or x.points == 0:
+        return 1.0
+    T = x.texture[1]
+    step = np.linalg.pinv(T) @ (T @ ((x.plane - x.texture[0]) * [x.size, x.size, 1])) - np.linalg.pinv(A) @ b
+    spread = np.linalg.pinv(T) - np.linalg.pinv(A)
+    return max(1.0, float(step @ np.linalg.pinv(spread, rcond=1e-6, hermitian=True) @ step) / 7.81)
+
+
 def _facet(pair, labels, values, regions, split, l, r, x, sigma_side):
     """Facet, or why not."""
     (u0, v0), unit = x.uv0, np.array([x.size, x.size, 1])
@@ -728,7 +750,7 @@ def _facet(pair, labels, values, regions, split, l, r, x, sigma_side):
     plane = x.plane - inverse @ b / unit
     # (a, b, c at the centre) to m, left frame: linear.
     to_m = pair.R_rect_left.T @ np.diag([1, 1, 1 / pair.f_px]) @ np.array([[1, 0, 0], [0, 1, 0], [-u0, -v0, 1]]) / pair.baseline
-    covariance = to_m @ (inverse / unit / unit[:, None]) @ to_m.T
+    covariance = to_m @ (inverse / unit / unit[:, None]) @ to_m.T * _disagreement(x, A, b)
     m = to_m @ plane
     if not (m @ _middle(pair, (u0, v0)) > 0):
         return "not in front of the cameras"

@@ -170,3 +170,23 @@ def quads(seed=0, angle_deg=7.0, size=(480, 360), focal=450.0, columns=3, rows=2
         values.append(picture.clip(0, 1).mean(axis=2, keepdims=True) if grey else picture.clip(0, 1))
         labels.append(label)
     return Quads(left, right, tuple(values), tuple(labels), np.vstack([np.zeros(3), m]))
+
+
+def textured(seed=0, angle_deg=7.0, size=(320, 240), focal=300.0, contrast=0.15):
+    """One plane with a soft random texture; label 1 is a rectangle on it, whose border has no contrast, label 2 the rest."""
+    rng = np.random.default_rng([6, seed])
+    K = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    left = Camera(K, *size, np.eye(4))
+    right = turned(left, angle_deg, 3.0, twist_deg=rng.uniform(-1, 1))
+    n = np.array([*rng.uniform(-0.5, 0.5, 2), 1.0])
+    m = n / 3.0 / rng.uniform(0.8, 1.2)
+    waves = rng.normal(0, 1, (40, 2)) * focal / 3.0 / 8 * 2 * np.pi / 2          # rad / m: periods of 8 pixels and more, mostly
+    phase, size_of = rng.uniform(0, 2 * np.pi, (40, 3)), contrast / np.sqrt(20)
+    values, labels = [], []
+    for camera in (left, right):
+        R, t = camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
+        v = camera.directions(camera.pixels()) @ R                       # left frame, from the camera's centre
+        p = camera.centre + v * ((1 - m @ camera.centre) / (v @ m))[..., None]
+        values.append((0.5 + size_of * np.cos(p[..., :2] @ waves.T)[..., None] * np.cos(phase)).sum(axis=-2) - 0.5 * 39)
+        labels.append(np.where((np.abs(p[..., 0]) < 0.8) & (np.abs(p[..., 1]) < 0.6), 1, 2).astype(np.int32))
+    return Quads(left, right, tuple(x.clip(0, 1) for x in values), tuple(labels), np.array([np.zeros(3), m, m]))
