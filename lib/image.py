@@ -82,6 +82,19 @@ def write_png16(path, values):
     _encode(path, values, np.uint16)
 
 
+def write_labels(path, labels):
+    """(H, W) whole numbers from 0, as read_labels reads them: a 16-bit PNG, or a 32-bit TIFF where path ends in .tif."""
+    if not os.fspath(path).endswith(".tif"):
+        return write_png16(path, labels)
+    import cv2
+
+    ok, code = cv2.imencode(".tif", np.ascontiguousarray(labels, np.int32))
+    if not ok:
+        raise OSError(f"{path}: cannot be written as TIFF")
+    with open(path, "wb") as file:
+        file.write(code.tobytes())
+
+
 def _encode(path, values, kind):
     import cv2
 

@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
-"""§2.1 Segmentation: the regions of one or two photographs that minimise equation 2.1.
+"""§2.1 Segmentation: regions of one or two photographs that make equation 2.1 small.
 
-    $ stages/segment.py --photograph left.png --photograph-right right.png --lambda 0.05 \\
+    $ stages/segment.py --photograph left.png --photograph-right right.png --lambda auto \\
           --regions left.regions.png --regions-right right.regions.png --report segment.report.json
 
-reads   photograph, photograph_right
-writes  regions, regions_right      labels from 1, each one 4-connected region; 16 bits
+reads   photograph, photograph_right   8 or 16 bits as stored; linear light (EXR) as clip(B, 0, 1)^(1/2.2)
+writes  regions, regions_right         labels from 1, each one 4-connected region; 16 bits. More than 65,535 regions: 32 bits
+                                       under the same name but .tif, and the .png is a link to it, for Make and the stages below
+The report holds lambda, one for both photographs, and each side's energy and number of regions.
 """
 import argparse
 import sys
@@ -15,6 +17,19 @@ sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its na
 from lib import stage
 
 
+def cost(text):
+    """auto, or a number from 0; argparse names the option."""
+    if text == "auto":
+        return text
+    value = float(text)
+    if not value >= 0:
+        raise ValueError(text)
+    return min(value, sys.float_info.max)                  # .inf: as large as JSON has it
+
+
+cost.__name__ = "auto or a number from 0"
+
+
 def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--photograph", required=True)
@@ -22,7 +37,8 @@ def options():
     parser.add_argument("--regions", required=True)
     parser.add_argument("--regions-right")
     parser.add_argument("--report")
-    parser.add_argument("--lambda", dest="weight", default="auto", help="cost of one differing neighbour pair, image in [0, 1]; auto: from the noise")
+    parser.add_argument("--lambda", dest="weight", type=cost, default="auto", metavar="LAMBDA",
+                        help="cost of one differing neighbour pair, image in [0, 1]; auto: from the noise and the size of the photographs")
     return parser
 
 
@@ -30,37 +46,40 @@ def main(opt):
     from lib.report import Report
 
     if (opt.photograph_right is None) != (opt.regions_right is None):
-        raise stage.BadInput("--photograph-right: and --regions-right belong together")
+        raise stage.BadInput("--photograph-right: comes with --regions-right, and only with it")
     with Report(opt.report, inputs=[opt.photograph, opt.photograph_right], arguments=vars(opt)) as report:
         with report.excluded("imports"):
             import cv2                                             # noqa: F401  where lib/ imports late
             import numpy as np
             from lib import artefact, image, segmentation
-
-        paths = {"left": (opt.photograph, opt.regions), "right": (opt.photograph_right, opt.regions_right)}
-        paths = {side: pair for side, pair in paths.items() if pair[0]}
-        pictures = {side: np.minimum(image.read_photograph(photograph).values, 1) for side, (photograph, _) in paths.items()}
-        if opt.weight == "auto":
-            sigma = max(segmentation.noise(p) for p in pictures.values())
-            weight = max(0.05, 20 * sigma ** 2)
-        else:
-            try:
-                weight = float(opt.weight)
-                assert weight >= 0
-            except (ValueError, AssertionError):
-                raise stage.BadInput(f"--lambda: {opt.weight} is neither auto nor a number from 0") from None
         with report.excluded("compile"):
-            segmentation.segment(pictures["left"][:4, :4].copy(), 0.01)
+            segmentation.segment(np.eye(4)[..., None], 0.01)
+
+        sides = {"left": (opt.photograph, opt.regions), "right": (opt.photograph_right, opt.regions_right)}
+        sides = {side: paths for side, paths in sides.items() if paths[0]}
+        pictures = {side: segmentation.displayed(image.read_photograph(path)) for side, (path, _) in sides.items()}
+        weight = segmentation.auto_lambda(*pictures.values()) if opt.weight == "auto" else opt.weight
+        report["lambda"] = weight
         regions = {}
         for side, picture in pictures.items():
+            def trace(step, labels, side=side, picture=picture):
+                with report.excluded("measuring"):
+                    energy = segmentation.energy(picture, labels, weight)
+                report.trace(side=side, step=step, energy=energy, regions=int(labels.max()) + 1)
             with report.timing("segment"):
-                regions[side] = segmentation.segment(picture, weight)
-        report["lambda"] = weight
-        report["energy"] = {side: segmentation.energy(pictures[side], regions[side] - 1, weight) for side in regions}
+                regions[side] = segmentation.segment(picture, weight, trace=trace)
         report["regions"] = {side: int(labels.max()) for side, labels in regions.items()}
-        with artefact.writing_all(*(paths[side][1] for side in regions)) as partials:
+        report["energy"] = {side: segmentation.energy(pictures[side], labels, weight) for side, labels in regions.items()}
+        report["noise"] = {side: segmentation.noise(picture) for side, picture in pictures.items()}
+        names = {side: Path(sides[side][1]) for side in regions}
+        files = {side: name.with_suffix(".tif") if regions[side].max() > 65535 else name for side, name in names.items()}
+        with artefact.writing_all(*files.values()) as partials:
             for partial, labels in zip(partials, regions.values()):
-                image.write_png16(partial, labels)
+                image.write_labels(partial, labels)
+        for side, file in files.items():
+            if file != names[side]:
+                names[side].unlink(missing_ok=True)
+                names[side].symlink_to(file.name)
 
 
 if __name__ == "__main__":
