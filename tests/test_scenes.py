@@ -32,5 +32,5 @@ def test_scene_keeps_its_bounds(scene, tmp_path):
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / scene).iterdir() if p in before} == before
 
 
-def test_every_synthetic_scene_is_watched():
-    assert SCENES == sorted(p.parent.parent.name for p in (ROOT / "data").glob("*/truth/materials.json"))
+def test_every_scene_with_truth_is_watched():
+    assert SCENES == sorted(p.parent.name for p in (ROOT / "data").glob("*/truth") if (p.parent / "scene.yaml").is_file())
