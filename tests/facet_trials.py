@@ -172,7 +172,7 @@ def photograph(random, model, camera, noise=0.01, gamma=2.2, finer=4):
 
 def room_trial(seed, folder, rooms_=3, **options):
     """(model, camera) of a seed; what is left of `options` goes to polygons_of_rooms."""
-    import rooms
+    from tests import rooms
 
     from lib import model as models
 
