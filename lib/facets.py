@@ -386,6 +386,7 @@ def _own_parts(rows, n_parts, size):
 
 SMOOTH_PX = (2.0, 0.8)            # coarse to fine: the last one measures, the first ones bring the start near
 TEXTURE = 4.5                     # times the noise of a gradient: what is less says nothing, and would pretend to
+ALIKE = 0.6                       # of the left photograph's slopes the right one must show: texture gives 1, noise 0
 MOST_PIXELS = 20000
 
 
@@ -490,6 +491,18 @@ def _texture(pair, level, split, labels, l, r, pixels, plane, uv0, size, iterati
             return None
         if np.abs(step[:3]).sum() < 1e-3:
             break
+    # Is it texture? Then the right photograph has the left one's slopes. Noise has not, however steep.
+    sides = []
+    for shift in (-0.5, 0.5):
+        more = np.empty_like(rows)
+        k = _texture_rows(plane + [0, 0, shift], *uv0, pixels, *split[0], level.left, level.slope, level.right, labels[1], r,
+                          TEXTURE * level.slope_noise, pair.f_px, R, pair.right.K, gain, offset, more)
+        more = more[:k]
+        sides.append((((more[:, 7] * labels[0].shape[1] + more[:, 6]) * channels + more[:, 4]).astype(np.int64), more))
+    _, before, after = np.intersect1d(sides[0][0], sides[1][0], return_indices=True)
+    mine, theirs = sides[0][1][before, 2], sides[1][1][after, 5] - sides[0][1][before, 5]
+    if len(mine) < 60 or not mine @ theirs > ALIKE * (mine @ mine):
+        return None
     e = x[:, 5] + J @ step
     s = 1.4826 * np.median(np.abs(e - np.median(e))) + 1e-9
     mix = np.linalg.solve(A[3:, 3:], A[3:, :3])                       # what gain and offset take away
