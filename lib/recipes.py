@@ -4,7 +4,8 @@
     recipe.write_model(folder)             # model.obj, model.mtl
     recipe.cameramodel()                   # text of left.posed.cameramodel
 
-A recipe knows the truth; `stages/synthesise.py` renders it.  Rooms are made of single polygons that face inwards
+A recipe knows the truth; `stages/synthesise.py` renders it.  A recipe with a `pair` is a stereo scene: two lenses, their chessboards, and a model of
+several rooms of which one is seen.  Rooms are made of single polygons that face inwards
 (one object each, so that no room is mistaken for a solid), furniture of closed boxes and prisms that stand on the
 floor and touch the walls.  z is up; metres.
 """
@@ -26,6 +27,82 @@ class Polygon:
 
 
 @dataclass(frozen=True)
+class Lens:
+    """mrcal's LENSMODEL_OPENCV8: with r2 = x^2 + y^2 of a point (x, y, 1), radial = (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3),
+    x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2), y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y, and u = fx x' + cx, v = fy y' + cy."""
+    core: tuple                   # fx, fy, cx, cy px
+    k: tuple = (0,) * 8           # k1 k2 p1 p2 k3 k4 k5 k6
+
+    @property
+    def K(self) -> np.ndarray:
+        fx, fy, cx, cy = self.core
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+
+    def project(self, p_cam) -> np.ndarray:
+        """(N, 3) m in the camera's frame, before it -> (N, 2) px."""
+        fx, fy, cx, cy = self.core
+        radial, dx, dy = self._terms(p_cam[:, 0] / p_cam[:, 2], p_cam[:, 1] / p_cam[:, 2])
+        return np.c_[fx * (p_cam[:, 0] / p_cam[:, 2] * radial + dx) + cx, fy * (p_cam[:, 1] / p_cam[:, 2] * radial + dy) + cy]
+
+    def unproject(self, u, v) -> tuple:
+        """Pixels -> (x, y) of the ray (x, y, 1), for arrays of NumPy or Dr.Jit in double precision.  The fixed point of
+        x = (x' - tangential) / radial: each step gains a digit or more for lenses as mild as ours, so 24 reach rounding."""
+        fx, fy, cx, cy = self.core
+        xd, yd = (u - cx) / fx, (v - cy) / fy
+        x, y = xd, yd
+        if any(self.k):
+            for _ in range(24):
+                radial, dx, dy = self._terms(x, y)
+                x, y = (xd - dx) / radial, (yd - dy) / radial
+        return x, y
+
+    def _terms(self, x, y):
+        k1, k2, p1, p2, k3, k4, k5, k6 = self.k
+        r2 = x * x + y * y
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        return radial, 2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat chessboard and where it was held.  Inner corner (i, j) lies at (i, j, 0) square_m of its frame; z points away from the camera."""
+    corners: tuple                # inner corners across, down
+    square_m: float
+    T_left_board: tuple           # of (4, 4)
+
+    def points(self) -> np.ndarray:
+        """(across * down, 3) m, row by row."""
+        x, y = np.meshgrid(np.arange(self.corners[0]), np.arange(self.corners[1]))
+        return np.stack([x, y, 0 * x], -1).reshape(-1, 3) * self.square_m
+
+    def outline(self, margin) -> np.ndarray:
+        """(4, 3) m: the corners of the squares' rectangle and `margin` squares around it."""
+        (x0, y0), (x1, y1) = (-1 - margin, -1 - margin), (self.corners[0] + margin, self.corners[1] + margin)
+        return np.array([(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)]) * self.square_m
+
+    def polygons(self, T) -> list:
+        """Black and white squares and a white margin, one square wide, in the frame that T (4, 4) leads to."""
+        def piece(group, x0, y0, x1, y1):           # the front sees the camera, at -z
+            p = np.array([(x0, y0, 0), (x0, y1, 0), (x1, y1, 0), (x1, y0, 0)]) * self.square_m
+            return Polygon("board", group, p @ T[:3, :3].T + T[:3, 3])
+        nx, ny = self.corners
+        out = [piece(("black", "white")[(i + j) % 2], i, j, i + 1, j + 1) for j in range(-1, ny) for i in range(-1, nx)]
+        return out + [piece("white", -2, -2, nx + 1, -1), piece("white", -2, ny, nx + 1, ny + 1),
+                      piece("white", -2, -1, -1, ny), piece("white", nx, -1, nx + 1, ny)]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What makes a recipe a stereo scene.  Its K and T_cam_world are the left camera's, without the lens's distortion."""
+    lenses: tuple                 # left, right
+    T_right_left: np.ndarray      # (4, 4)
+    room: str                     # objects of the room that is seen begin with this; no light comes from the others
+    noise: float                  # of a displayed value in [0, 1], before it is rounded
+    board: Board | None = None    # None: the cameras are given
+    T_left_ref: np.ndarray = field(default_factory=lambda: np.eye(4))        # the frame of given cameras
+
+
+@dataclass(frozen=True)
 class Recipe:
     name: str
     polygons: tuple               # of Polygon
@@ -38,6 +115,7 @@ class Recipe:
     reference: dict = field(default_factory=dict)   # lamp group -> rho_d of its surface
     channels: int = 3
     about: str = ""
+    pair: Pair | None = None
 
     @property
     def groups(self) -> tuple:
@@ -83,32 +161,40 @@ class Recipe:
         return "\n".join(lines) + "\n", "\n".join(mtl) + "\n"
 
     def cameramodel(self) -> str:
-        """mrcal's text format, extrinsics relative to the model's frame."""
-        intrinsics = [self.K[0, 0], self.K[1, 1], self.K[0, 2], self.K[1, 2]]
-        extrinsics = [*rodrigues(self.T_cam_world[:3, :3]), *self.T_cam_world[:3, 3]]
-        numbers = lambda xs: ", ".join(f"{x:.15g}" for x in xs)
-        return ("{\n"
-                "    'lensmodel':  'LENSMODEL_PINHOLE',\n\n"
-                "    # intrinsics are fx,fy,cx,cy\n"
-                f"    'intrinsics': [ {numbers(intrinsics)} ],\n\n"
-                "    # rt_cam_world: a Rodrigues vector, then a translation in metres\n"
-                f"    'extrinsics': [ {numbers(extrinsics)} ],\n\n"
-                f"    'imagersize': [ {self.size[0]}, {self.size[1]} ],\n"
-                "}\n")
+        """The left camera as a pinhole, extrinsics relative to the model's frame."""
+        return cameramodel((self.K[0, 0], self.K[1, 1], self.K[0, 2], self.K[1, 2]), self.T_cam_world, self.size)
+
+    def views(self) -> dict:
+        """{"left": (lens, T_cam_world), "right": ...} of a stereo scene."""
+        return {"left": (self.pair.lenses[0], self.T_cam_world), "right": (self.pair.lenses[1], self.pair.T_right_left @ self.T_cam_world)}
+
+    def pair_files(self) -> dict:
+        """{path: text} of a stereo scene's camera models: those that are given, and the true ones."""
+        T_refs = self.pair.T_left_ref, self.pair.T_right_left @ self.pair.T_left_ref
+        out = {}
+        for (side, (lens, T)), T_ref in zip(self.views().items(), T_refs):
+            own = cameramodel(lens.core + lens.k if any(lens.k) else lens.core, T_ref, self.size)
+            out[f"truth/{side}.cameramodel"] = own
+            if self.pair.board is None:
+                out[f"{side}.cameramodel"] = own
+            out[f"truth/{side}.posed.cameramodel"] = cameramodel(lens.core, T, self.size)
+        return out
 
     def scene_yaml(self) -> str:
         """What a photographer would know: the lamps, and what reflects a known amount.  Not the transfer."""
         triple = lambda xs: "[" + ", ".join(f"{x:.6g}" for x in xs) + "]"
         lines = [f"# {self.about}"]
         lines.append("lamps: {" + ", ".join(f"{g}: {triple(E)}" for g, E in self.lamps.items()) + "}")
+        if self.pair and self.pair.board:
+            lines.append(f"board: {{corners: {list(self.pair.board.corners)}, square_m: {self.pair.board.square_m}}}")
         if self.reference:
             lines.append("reference: {" + ", ".join(f"{g}: {triple(r)}" for g, r in self.reference.items()) + "}")
         return "\n".join(lines) + "\n"
 
 
 def make(name) -> Recipe:
-    """The recipe of one scene.  Raises KeyError for a name that is not in `NAMES`."""
-    return _RECIPES[name]()
+    """The recipe of one scene.  Raises KeyError for a name that is in neither `NAMES` nor `STEREO_NAMES`."""
+    return (_RECIPES | _STEREO)[name]()
 
 
 # ---- geometry ----------------------------------------------------------------------------------------------
@@ -185,6 +271,20 @@ def look(eye, target, up=(0, 0, 1)) -> np.ndarray:
 def pinhole(width, height, focal_px, shift=(0.0, 0.0)) -> np.ndarray:
     """K with square pixels; the principal point `shift` px from the image's centre."""
     return np.array([[focal_px, 0, (width - 1) / 2 + shift[0]], [0, focal_px, (height - 1) / 2 + shift[1]], [0, 0, 1.0]])
+
+
+def cameramodel(intrinsics, T_cam_ref, size) -> str:
+    """mrcal's text format; four intrinsics are a pinhole's, twelve LENSMODEL_OPENCV8's."""
+    model, names, frame = {4: ("PINHOLE", "fx,fy,cx,cy", "rt_cam_world"), 12: ("OPENCV8", "fx,fy,cx,cy,k1,k2,p1,p2,k3,k4,k5,k6", "rt_cam_ref")}[len(intrinsics)]
+    numbers = lambda xs: ", ".join(f"{x:.15g}" for x in xs)
+    return ("{\n"
+            f"    'lensmodel':  'LENSMODEL_{model}',\n\n"
+            f"    # intrinsics are {names}\n"
+            f"    'intrinsics': [ {numbers(intrinsics)} ],\n\n"
+            f"    # {frame}: a Rodrigues vector, then a translation in metres\n"
+            f"    'extrinsics': [ {numbers([*rodrigues(T_cam_ref[:3, :3]), *T_cam_ref[:3, 3]])} ],\n\n"
+            f"    'imagersize': [ {size[0]}, {size[1]} ],\n"
+            "}\n")
 
 
 def rodrigues(R) -> np.ndarray:
@@ -416,6 +516,198 @@ def linear() -> Recipe:
                   about="A loft photographed linearly; two lamps of known emittance")
 
 
+# ---- stereo scenes -----------------------------------------------------------------------------------------
+
+_BUREAU = {
+    "wall": (.70, .68, .61), "floor": (.35, .29, .23), "ceiling": (.79, .79, .77), "blackboard": (.08, .17, .12), "frame": (.50, .34, .17),
+    "cabinet": (.44, .47, .50), "shutter": (.17, .27, .46), "poster": (.66, .58, .22), "door": (.50, .21, .15), "desktop": (.60, .43, .26),
+    "desk": (.27, .31, .38), "monitor": (.07, .08, .11), "stool": (.14, .33, .20), "carton": (.57, .41, .24), "rug": (.46, .12, .14),
+    "shelf": (.55, .53, .46), "curtain": (.30, .16, .38),
+}
+
+
+def bureau(name, random, *, leave_out=(), **moved) -> list:
+    """One room of the kind of `office`, about 5 x 4 x 2.8 m, its corner at the origin and its furniture at the walls y = max and x = max.
+
+    Every piece has its own size and place, drawn by `random`; `moved` fixes some: {piece: (place, size)}, each as the piece's line below has it.
+    Pieces stand on the floor, on each other or at a wall; all but the shell and the lamp are closed boxes."""
+    near = lambda *middle_spread: tuple(m + s * random.uniform(-1, 1) for m, s in middle_spread)
+    x, y, z = near((5.0, .35), (4.0, .3), (2.8, .1))
+    place = {                    # where, how large; drawn for every piece, so that leaving one out moves no other
+        "blackboard": (near((x - 2.75, .15), (1.42, .12)), near((1.35, .2), (.95, .12))),        # x of its middle, z; width, height
+        "cabinet": (near((x - .72, .10)), near((.80, .12), (.48, .06), (1.55, .16))),            # x of its middle; width, depth, height
+        "poster": (near((y - .95, .08), (1.50, .10)), near((.42, .07), (.60, .08))),             # y of its middle, z; width, height
+        "door": (near((1.0, .06)), near((.76, .05), (1.95, .06))),                               # y of its middle; width, height
+        "desk": (near((y - 1.75, .08)), near((1.25, .14), (.75, .08), (.73, .03))),              # y of its middle; length, depth, height
+        "monitor": (near((.42, .05), (.12, .12), (.25, .25)), near((.55, .06), (.36, .04))),     # from the wall, off the desk's middle, turn; width, height
+        "stool": (near((x - 1.32, .10), (y - 2.15, .12), (.3, .5)), near((.40, .05), (.45, .04))),        # x, y, turn; width, height
+        "carton": (near((x - 2.85, .12), (y - 1.05, .12), (.4, .4)), near((.50, .07), (.36, .06), (.40, .08))),      # x, y, turn; lengths
+        "rug": (near((x - 2.30, .08), (y - 1.85, .08), (0, .12)), near((1.10, .12), (.75, .08))),         # x, y, turn; lengths
+        "shelf": (near((x - 2.9, .3), (.9, .2)), near((1.2, .2), (.30, .05), (.9, .2))),                   # at y = 0: x, unused; lengths
+        "curtain": (near((1.4, .2)), near((1.1, .1), (1.9, .1))),                                         # at x = 0: y of its middle; width, height
+    } | moved
+    p = room(x, y, z)
+    for piece, (at, size) in place.items():
+        if piece in leave_out:
+            continue
+        a, b = at[:2] if len(at) > 1 else (at[0], 0)
+        if piece == "blackboard":
+            p += box(piece, "frame", (a - size[0] / 2, y - .07, b - size[1] / 2), (a + size[0] / 2, y, b + size[1] / 2), sides={0: "blackboard"})
+        elif piece == "cabinet":
+            p += box(piece, "cabinet", (a - size[0] / 2, y - size[1], 0), (a + size[0] / 2, y, size[2]), sides={0: "shutter"})
+        elif piece == "poster":
+            p += box(piece, "poster", (x - .012, a - size[0] / 2, b - size[1] / 2), (x, a + size[0] / 2, b + size[1] / 2))
+        elif piece == "door":
+            p += box(piece, "door", (x - .04, a - size[0] / 2, 0), (x, a + size[0] / 2, size[1]))
+        elif piece == "desk":
+            p += box(piece, "desk", (x - size[1], a - size[0] / 2, 0), (x, a + size[0] / 2, size[2]), top="desktop")
+        elif piece == "monitor":
+            middle, (length, depth, top) = place["desk"][0][0] + b, place["desk"][1]
+            p += box(piece, "monitor", (x - a - .03, middle - size[0] / 2, top), (x - a + .03, middle + size[0] / 2, top + size[1]), turn=at[2])
+        elif piece == "stool":
+            p += box(piece, "stool", (a - size[0] / 2, b - size[0] / 2, 0), (a + size[0] / 2, b + size[0] / 2, size[1]), turn=at[2])
+        elif piece in ("carton", "rug"):
+            p += box(piece, piece, (a - size[0] / 2, b - size[1] / 2, 0), (a + size[0] / 2, b + size[1] / 2, size[2] if piece == "carton" else .012), turn=at[2])
+        elif piece == "shelf":
+            p += box(piece, "shelf", (a - size[0] / 2, 0, 0), (a + size[0] / 2, size[1], size[2]))
+        elif piece == "curtain":
+            p += box(piece, "curtain", (0, a - size[0] / 2, .2), (.05, a + size[0] / 2, .2 + size[1]))
+    p += [lamp("lamp", "lamp", (x / 2 + .1, y / 2), 1.2, .6, z - .05)]
+    return [Polygon(f"{name}-{q.object}", q.group, q.points) for q in p]
+
+
+def moved(polygons, T, mirror=False) -> list:
+    """The polygons displaced by T (4, 4), before that perhaps mirrored in x (and their corners reversed, so that fronts stay fronts)."""
+    turn = (lambda p: (p * (-1, 1, 1))[::-1]) if mirror else (lambda p: p)
+    return [Polygon(q.object, q.group, turn(q.points) @ T[:3, :3].T + T[:3, 3]) for q in polygons]
+
+
+def upright(yaw, translation) -> np.ndarray:
+    """(4, 4): a turn about z by `yaw` radians, then a translation."""
+    T, c, s = np.eye(4), np.cos(yaw), np.sin(yaw)
+    T[:2, :2], T[:3, 3] = [[c, -s], [s, c]], translation
+    return T
+
+
+def shots(corners, square_m, lenses, T_right_left, size, random, both=12, single=2) -> Board:
+    """A board held before a pair: `both` times seen wholly by both cameras, and `single` times each, close, by one of them alone.
+
+    Of 60 places drawn for each shot the one is taken that covers most cells of the two pictures, those seen seldom before counting more."""
+    W, H = size
+    seen = np.zeros((2, 9, 12))
+    out, board = [], Board(corners, square_m, ())
+    middle = board.points().mean(0)
+    for kind in ["both"] * both + [0] * single + [1] * single:
+        best, tries = None, 0
+        while tries < 60:
+            z = random.uniform(.70, 1.8) if kind == "both" else random.uniform(.50, .75)
+            side = 0 if kind == "both" else kind
+            u, v = random.uniform(.05 * W, .95 * W), random.uniform(.05 * H, .95 * H)
+            x, y = lenses[side].unproject(u, v)
+            axis = random.uniform(0, 2 * np.pi)
+            tilt, roll = random.uniform(.25, .85), random.uniform(-.5, .5)
+            R = _rotation((np.cos(axis) * tilt, np.sin(axis) * tilt, 0)) @ _rotation((0, 0, roll))
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = R, np.array([x, y, 1]) * z - R @ middle
+            if side == 1:
+                T = np.linalg.inv(T_right_left) @ T
+            views = []
+            for s, (lens, V) in enumerate(zip(lenses, (np.eye(4), T_right_left))):
+                views.append(_seen(board, lens, V @ T, size))
+                if (views[s] == "hidden") != (kind not in ("both", s)) or views[s] == "partly":
+                    break
+            else:
+                tries += 1
+                cells = [(s, cell) for s, cell in enumerate(views) if cell != "hidden"]
+                gain = sum((1 / (1 + seen[s][cell]) ** 2).sum() for s, cell in cells)
+                if best is None or gain > best[0]:
+                    best = gain, T, cells
+        out.append(best[1])
+        for s, cell in best[2]:
+            seen[s][cell] += 1
+    return Board(corners, square_m, tuple(out))
+
+
+def _seen(board, lens, T, size):
+    """The cells (of 9 x 12, two index arrays) in which a board at T (4, 4) shows corners if all of it is seen, at 60 degrees from its normal at most;
+    "hidden" if at least 10 corners are outside; "partly" otherwise."""
+    W, H = size
+    edge, p = (x @ T[:3, :3].T + T[:3, 3] for x in (board.outline(.6), board.points()))
+    if edge[:, 2].min() < .3:
+        return "hidden"
+    edge = lens.project(edge)
+    if (edge > 3).all() and (edge < (W - 4, H - 4)).all() and T[:3, 2] @ p.mean(0) > .5 * np.linalg.norm(p.mean(0)):
+        q = lens.project(p)
+        return tuple(np.unique((np.clip(q[:, 1] / H * 9, 0, 8).astype(int), np.clip(q[:, 0] / W * 12, 0, 11).astype(int)), axis=1))
+    q = lens.project(p)
+    return "hidden" if ((q < 0) | (q > (W - 1, H - 1))).any(1).sum() >= 10 else "partly"
+
+
+def _rotation(r) -> np.ndarray:
+    """Rodrigues vector -> (3, 3)."""
+    a = np.linalg.norm(r)
+    x, y, z = np.asarray(r) / max(a, 1e-300)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(a) * K + (1 - np.cos(a)) * K @ K
+
+
+def office_stereo(seed=0) -> Recipe:
+    """Three such rooms in one model, shut off from each other; a pair of cameras sees one of them.
+
+    Seed 1 is another building, mirrored, with other paints, lenses, angle and lamp; seed 2 another one in grey, through pinholes that are given."""
+    random = np.random.default_rng([11, seed])
+    materials = dict(_BUREAU)
+    lenses = (Lens((461.3, 460.7, 322.6, 237.1), (-.182, .061, .0007, -.0005, .004, .021, -.006, .002)),
+              Lens((458.9, 459.4, 316.2, 242.8), (-.171, .049, -.0004, .0006, .007, .018, -.004, .003)))
+    tint, gamma, noise, level = (1.0, .95, .86), 2.1, .007, .25
+    rooms, seen, building = ("east", "middle", "west"), "middle", upright(.35, (12.4, -3.1, .6))
+    eye, target = (.45, .66, 1.60), (3.75, 2.72, .93)
+    right = look((.385, .012, .018), (.015, -.02, 3.05), (.007, -1, 0))
+    if seed:
+        for group, rho in materials.items():
+            low, high = (.04, .22) if group in ("blackboard", "monitor") else (.55, .85) if group in ("wall", "ceiling") else (.07, .70)
+            materials[group] = tuple(np.round(np.clip(np.array(rho) + random.uniform(-.06, .06) + random.uniform(-.08, .08, 3), low, high), 3))
+    if seed == 1:
+        lenses = (Lens((488.2, 488.9, 314.8, 243.5), (-.142, .038, -.0006, .0004, -.002, .011, .003, -.001)),
+                  Lens((491.7, 491.1, 323.9, 235.2), (-.128, .031, .0005, .0007, .001, .014, .002, -.001)))
+        tint, gamma, noise, level = (1.0, .91, .78), 1.9, .006, .23
+        rooms, seen, building = ("c", "b", "a"), "a", upright(-1.1, (-7.2, 21.5, 3.4))
+        eye, target = (.42, .58, 1.66), (3.9, 2.62, .93)
+        right = look((.30, -.009, .004), (-.02, .01, 2.9), (-.005, -1, 0))
+    elif seed == 2:
+        materials = {g: (round(float(np.mean(rho)), 3),) * 3 for g, rho in materials.items()}
+        lenses = (Lens((470.0, 470.0, 321.0, 238.5)), Lens((474.0, 474.0, 318.5, 241.0)))
+        tint, gamma, noise, level = (1.0, 1.0, 1.0), 2.2, .005, .24
+        rooms, seen, building = ("left", "centre", "right"), "left", upright(2.2, (3.0, 8.0, 0))
+        right = look((.45, 0, .03), (.02, .015, 3.1), (.003, -1, 0))
+
+    p, x0 = [], 0.0
+    for name in rooms:                            # the seen one is furnished in full, the others lack this and that
+        left_out = {rooms[0]: ("carton", "stool"), rooms[1]: ("rug", "monitor"), rooms[2]: ("poster", "carton")}[name]
+        out = bureau(name, random, leave_out=("shelf", "curtain") if name == seen else left_out)
+        width = max(q.points[:, 0].max() for q in out)
+        if seed == 1:
+            T_room = building @ upright(0, (-x0, 0, 0))
+        else:
+            T_room = building @ upright(0, (x0, 0, 0))
+        p += moved(out, T_room, mirror=seed == 1)
+        if name == seen:
+            mirrored = np.array([-1 if seed == 1 else 1, 1, 1])
+            at = lambda q: T_room[:3, :3] @ (mirrored * q) + T_room[:3, 3]
+            T_left = look(at(np.array(eye)), at(np.array(target)))
+        x0 += width + .2                          # walls of 0.2 m
+    E = exposed([q for q in p if q.object.startswith(seen + "-")], materials, {"lamp": tint}, level)
+    lens, size = lenses[0], (640, 480)
+    board = None if seed == 2 else shots((10, 7), .04, lenses, right, size, np.random.default_rng([12, seed]))
+    rig = look((.2, .02, -.01), (.2, .1, 3.0), (0, -1, 0)) if seed == 2 else np.eye(4)           # the given cameras' common frame is neither's own
+    about = ("An office among three in one model, seen by a stereo pair" + ("; grey, pinholes" if seed == 2 else " with distorting lenses")
+             + (f", seed {seed}" if seed else "") + "; the lamps' emittance is known")
+    return Recipe("office-stereo" + ("", "-1", "-grey")[seed], tuple(p), materials, {"lamp": scaled(E, tint)}, gamma, lens.K, size, T_left,
+                  channels=1 if seed == 2 else 3, about=about, pair=Pair(lenses, right, seen + "-", noise, board, np.linalg.inv(rig)))
+
+
 _RECIPES = {"office": office, "office-1": lambda: office(1), "office-2": lambda: office(2), "office-3": lambda: office(3),
             "gallery-white": gallery_white, "cornell": cornell, "flat-grey": flat_grey, "linear": linear}
 NAMES = tuple(_RECIPES)
+_STEREO = {"office-stereo": office_stereo, "office-stereo-1": lambda: office_stereo(1), "office-stereo-grey": lambda: office_stereo(2)}
+STEREO_NAMES = tuple(_STEREO)

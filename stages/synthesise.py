@@ -9,11 +9,18 @@ make them again.  The same options give the same numbers (of one variant, up to 
 reads   lib/recipes.py
 writes  OUT/            scene.yaml model.obj model.mtl left.png|left.exr left.posed.cameramodel origin.md
         OUT/truth/      materials.json group.png legend.json noise.json
+        of a stereo scene, without left.posed.cameramodel, also
+        OUT/            right.png, boards/left-*.png and right-*.png or left.cameramodel and right.cameramodel
+        OUT/truth/      {left,right}.cameramodel {left,right}.posed.cameramodel (without the lens's distortion) boards.json
 
 The picture is the mean of `--passes` passes of `--spp` samples per pixel, each with its own seed; their spread is the
 noise.  Groups that stay above `--target` get further passes over the window that contains them, unless that is most of the
 picture, so every pixel is a mean of independent passes, some of more than others.  A group's noise is that of its mean over
 pixels that no lamp's edge touches.
+
+A stereo pair is traced through its lenses: every sample's ray is the one that the lens puts at that place of the pixel (a
+box filter; no finished picture is warped), and the sensor's noise is added before values are rounded.  Its passes have
+`--spp` jittered samples, a square number, and only `--passes` of them.
 """
 import argparse
 import sys
@@ -37,6 +44,7 @@ def options():
     parser.add_argument("--roulette", type=int, default=6, help="bounces before Russian roulette; 16 is twice as good in a white room")
     parser.add_argument("--seed", type=int, default=1, help="of the first pass; the others count on")
     parser.add_argument("--variant", default="scalar_rgb", help="Mitsuba's; scalar_rgb needs nothing else, llvm_ad_rgb is faster")
+    parser.add_argument("--board-spp", type=int, default=36, help="samples per pixel of a chessboard's shot")
     parser.add_argument("--preview", type=Path, help="write only this picture (PNG), nothing else")
     return parser
 
@@ -64,9 +72,13 @@ def mitsuba_scene(mi, recipe, folder, roulette, window=None):
             "film": film, "sampler": {"type": "independent"},
         },
     }
+    room = recipe.pair.room if recipe.pair else ""        # no light comes from the other rooms of a stereo scene's model
     for i, group in enumerate(recipe.groups):
         path = folder / f"{i}.ply"
-        write_ply(path, [p for p in recipe.polygons if p.group == group])
+        polygons = [p for p in recipe.polygons if p.group == group and p.object.startswith(room)]
+        if not polygons:
+            continue
+        write_ply(path, polygons)
         bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [float(x) for x in recipe.rho_d(group)]}}
         shape = {"type": "ply", "filename": str(path), "face_normals": True, "bsdf": {"type": "twosided", "bsdf": bsdf}}
         if group in recipe.lamps:
@@ -197,6 +209,146 @@ def render(mi, recipe, folder, opt):
     return passes, labels, seed - opt.seed
 
 
+# ---- stereo scenes: our own rays, through any lens ----------------------------------------------------------
+
+def through_lens(mi, scene, integrator, lens, T_cam_world, size, spp, seed):
+    """One pass: (H, W, 3) pi x mean radiance over each pixel's square, `spp` jittered places in it."""
+    import drjit
+    import numpy as np
+    (W, H), side = size, int(round(spp ** 0.5))
+    sampler = mi.load_dict({"type": "independent", "sample_count": 1})
+    sampler.seed(seed, wavefront_size=W * H * spp)
+    i = drjit.arange(mi.UInt32, W * H * spp)
+    pixel, stratum = i // spp, i % spp
+    jitter = sampler.next_2d()
+    u = mi.Float64(pixel % W) - 0.5 + (mi.Float64(stratum % side) + mi.Float64(jitter.x)) / side
+    v = mi.Float64(pixel // W) - 0.5 + (mi.Float64(stratum // side) + mi.Float64(jitter.y)) / side
+    x, y = lens.unproject(u, v)
+    R, t = T_cam_world[:3, :3].tolist(), T_cam_world[:3, 3]
+    length = drjit.sqrt(x * x + y * y + 1)
+    d = [mi.Float((R[0][k] * x + R[1][k] * y + R[2][k]) / length) for k in range(3)]
+    eye = mi.Point3f(*map(float, -T_cam_world[:3, :3].T @ t))
+    L = integrator.sample(scene, sampler, mi.RayDifferential3f(eye, drjit.normalize(mi.Vector3f(*d))))[0]
+    return np.stack([np.array(L[k]) for k in range(3)], -1).reshape(H, W, spp, 3).mean(2, dtype=float) * np.pi
+
+
+def photographed(recipe, B, rng):
+    """What the sensor gives: displayed values with its noise, rounded; (H, W, 3), or (H, W) of a grey scene, uint8."""
+    import numpy as np
+    B = B if recipe.channels == 3 else B.mean(-1)
+    values = np.clip(B, 0, 1) ** (1 / recipe.gamma) + rng.normal(0, recipe.pair.noise, B.shape)
+    return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
+
+
+def pair_of_photographs(mi, recipe, folder, opt):
+    """{side: Passes} of both views, (H, W) groups of the left one without distortion, seeds used."""
+    import numpy as np
+    scene = mitsuba_scene(mi, recipe, folder, opt.roulette)
+    integrator = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": opt.roulette})
+    labels = group_picture(mi, scene, recipe)
+    passes, seed = {}, opt.seed
+    for side, (lens, T) in recipe.views().items():
+        passes[side] = Passes((recipe.size[1], recipe.size[0], 3), np.zeros_like(labels), 0)
+        for _ in range(opt.passes):
+            passes[side].add(through_lens(mi, scene, integrator, lens, T, recipe.size, opt.spp, seed))
+            seed += 1
+    return passes, labels, seed - opt.seed
+
+
+def board_shots(mi, recipe, folder, spp, seed):
+    """Yields (side, number, (H, W) linear values): boards before a grey wall, lit by one small lamp beside the cameras, each exposed for itself."""
+    import numpy as np
+    pair, size = recipe.pair, recipe.size
+    integrator = mi.load_dict({"type": "path", "max_depth": 2})
+    wall = [[-9, -9, 4], [-9, 9, 4], [9, 9, 4], [9, -9, 4]]
+    from lib.recipes import Polygon
+    for n, T in enumerate(pair.board.T_left_board):
+        scene = {"type": "scene", "lamp": {"type": "point", "position": [.1 + .06 * (n % 5), -.45, -.2], "intensity": {"type": "rgb", "value": 10.0}}}
+        polygons = pair.board.polygons(T) + [Polygon("wall", "wall", np.array(wall, float))]
+        for group, rho in (("white", .78), ("black", .045), ("wall", .36)):
+            path = folder / f"{group}.ply"
+            write_ply(path, [p for p in polygons if p.group == group])
+            bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": rho}}
+            scene[group] = {"type": "ply", "filename": str(path), "face_normals": True, "bsdf": {"type": "twosided", "bsdf": bsdf}}
+        scene = mi.load_dict(scene, optimize=False)
+        views = {side: through_lens(mi, scene, integrator, lens, V, size, spp, seed + 2 * n + k)[..., 0]
+                 for k, (side, lens, V) in enumerate(zip(("left", "right"), pair.lenses, (np.eye(4), pair.T_right_left)))}
+        # the white of the board at about 0.65 of full scale
+        gain = .65 / max(np.percentile(B[labels], 90) for B, labels in ((B, board_mask(pair, T, side, size)) for side, B in views.items()) if labels.any())
+        for side, B in views.items():
+            yield side, n, B * gain
+
+
+def board_mask(pair, T, side, size):
+    """(H, W) where the squares of the board are, roughly: its outline without the lens's bending of straight lines."""
+    import cv2
+    import numpy as np
+    k = ("left", "right").index(side)
+    M = (np.eye(4), pair.T_right_left)[k] @ T
+    p = pair.board.outline(0) @ M[:3, :3].T + M[:3, 3]
+    mask = np.zeros(size[::-1], np.uint8)
+    if p[:, 2].min() > .2:
+        cv2.fillConvexPoly(mask, np.round(pair.lenses[k].project(p)).astype(np.int32), 1)
+    return mask > 0
+
+
+def synthesise_pair(mi, recipe, opt):
+    """A stereo scene: renders it and writes its folder."""
+    import json
+    import tempfile
+    import numpy as np
+    from lib import image, recipes
+    out, truth, pair = opt.out, opt.out / "truth", recipe.pair
+    rng = np.random.default_rng([opt.seed, 77])
+    truth.mkdir(parents=True, exist_ok=True)
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        passes, labels, number = pair_of_photographs(mi, recipe, Path(folder), opt)
+        print(f"{recipe.name}: pair {time.perf_counter() - start:.0f} s")
+        linear = {side: p.mean() for side, p in passes.items()}
+        for side, B in linear.items():
+            image.write_png8(out / f"{side}.png", photographed(recipe, B, rng))
+        if pair.board:
+            (out / "boards").mkdir(exist_ok=True)
+            for side, n, B in board_shots(mi, recipe, Path(folder), opt.board_spp, opt.seed + 5000):
+                image.write_png8(out / "boards" / f"{side}-{n:02d}.png", photographed(recipe, B[..., None], rng)[..., 0])
+    print(f"{recipe.name}: {time.perf_counter() - start:.0f} s")
+
+    gamma = recipe.gamma
+    display = {side: np.median(p.pixel_noise() * np.clip(p.mean(), 0, 1) ** (1 / gamma) / gamma, (0, 1)) for side, p in passes.items()}
+    noise = {
+        "variant": opt.variant, "mitsuba": mi.__version__, "integrator": f"path, max_depth {MAX_DEPTH}, rr_depth {opt.roulette}", "sampler": "independent, jittered",
+        "spp": opt.spp * opt.passes, "spp_per_pass": opt.spp, "passes": opt.passes, "spp_boards": opt.board_spp, "seeds": [opt.seed, opt.seed + number - 1],
+        "sensor": pair.noise, "unit": "1",
+        "meaning": "of displayed values in [0, 1]: sensor is the standard deviation of the noise added before rounding; median_pixel is the path tracer's standard error, the median over the picture, per channel",
+        "median_pixel": {side: [float(x) for x in d] for side, d in display.items()},
+    }
+    pixels = {g: int((labels == k + 1).sum()) for k, g in enumerate(recipe.groups)}
+    shown = labels, displayed(recipe, linear["left"])
+    for k, g in enumerate(recipe.groups):
+        if pixels[g]:                   # the picture without distortion is a few pixels off: good enough to look at
+            print(f"{g:12s} {pixels[g]:7d} px  display", np.round(shown[1][labels == k + 1].mean() / 255, 2))
+    print(f"clipped {[float((B >= 1).any(-1).mean()) for B in linear.values()]}, noise of display %", {s: np.round(100 * d, 2).tolist() for s, d in display.items()})
+
+    obj, mtl = recipe.model()
+    (out / "model.obj").write_text(obj)
+    (out / "model.mtl").write_text(mtl)
+    (out / "scene.yaml").write_text(recipe.scene_yaml())
+    for file, text in recipe.pair_files().items():
+        (out / file).write_text(text)
+    (out / "origin.md").write_text(origin(recipe, opt, noise))
+    image.write_png16(truth / "group.png", labels)
+    contents = {"noise": noise, "materials": true_materials(recipe, pixels), "legend": {"groups": list(recipe.groups), "objects": list(recipe.objects), "facets": []}}
+    if pair.board:
+        contents["boards"] = {"meaning": "rt_left_board: inner corner (i, j) of a board, row by row, lies at (i, j, 0) square_m of its frame", "corners": list(pair.board.corners),
+                              "square_m": pair.board.square_m,
+                              "rt_left_board": [[float(x) for x in (*recipes.rodrigues(T[:3, :3]), *T[:3, 3])] for T in pair.board.T_left_board]}
+    for name, content in contents.items():
+        (truth / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n")
+
+
+# ---- writing -----------------------------------------------------------------------------------------------
+
 def displayed(recipe, B):
     """Displayed value round(255 clip(B)^(1/gamma)): (H, W) or (H, W, 3) uint8."""
     import numpy as np
@@ -220,8 +372,9 @@ def main(opt):
     import numpy as np
     from lib import image, recipes
 
-    if opt.scene not in recipes.NAMES:
-        raise stage.BadInput(f"--scene: {opt.scene!r} is not one of {', '.join(recipes.NAMES)}")
+    known = recipes.NAMES + recipes.STEREO_NAMES
+    if opt.scene not in known:
+        raise stage.BadInput(f"--scene: {opt.scene!r} is not one of {', '.join(known)}")
     if opt.passes < 2:
         raise stage.BadInput(f"--passes: {opt.passes}: the noise needs at least 2")
     try:
@@ -231,6 +384,10 @@ def main(opt):
 
     mi.set_variant(opt.variant)
     recipe = recipes.make(opt.scene)
+    if recipe.pair:
+        if opt.variant.startswith("scalar") or opt.preview or round(opt.spp ** 0.5) ** 2 != opt.spp or round(opt.board_spp ** 0.5) ** 2 != opt.board_spp:
+            raise stage.BadInput("a stereo scene: --variant llvm_ad_rgb, square numbers of --spp and --board-spp, no --preview")
+        return synthesise_pair(mi, recipe, opt)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         passes, labels, number = render(mi, recipe, Path(folder), opt)
@@ -290,12 +447,21 @@ def true_materials(recipe, pixels):
 
 
 def origin(recipe, opt, noise):
-    made = f"stages/synthesise.py --scene {opt.scene} --out data/{opt.scene} --spp {opt.spp} --passes {opt.passes}" \
-           f" --target {opt.target:g} --more {opt.more} --roulette {opt.roulette} --seed {opt.seed} --variant {opt.variant}"
+    made = f"stages/synthesise.py --scene {opt.scene} --out data/{opt.scene} --spp {opt.spp} --passes {opt.passes}"
+    tracer = f"from the recipe in lib/recipes.py, path-traced by Mitsuba {noise['mitsuba']} ({noise['variant']}; {noise['spp']} samples per pixel"
+    if recipe.pair:
+        boards = (f"Chessboards: {opt.board_spp} samples per pixel, before a grey wall, one small lamp beside the cameras; the last four pairs are close, seen by one camera alone.\n"
+                  if recipe.pair.board else "")
+        made += (f" --board-spp {opt.board_spp}" if recipe.pair.board else "") + f" --roulette {opt.roulette} --seed {opt.seed} --variant {opt.variant}"
+        return (f"# {recipe.name}\n\n{recipe.about}. Synthetic: made by\n\n    {made}\n\n{tracer}), every ray through the lens; then noise of {recipe.pair.noise:g}\n"
+                "of full scale, rounded to 8 bits: truth/noise.json. The room that is seen lets no light in from the others, so it was traced alone.\n"
+                f"{boards}\ntruth/: reflectances and transfer in materials.json; lenses with the relative pose in {{left,right}}.cameramodel; the pose in\n"
+                "{left,right}.posed.cameramodel, the same cameras without distortion (fx fy cx cy kept); group.png is the view of that left one.\n"
+                "\nLicence: as the project's.\n")
+    made += f" --target {opt.target:g} --more {opt.more} --roulette {opt.roulette} --seed {opt.seed} --variant {opt.variant}"
     source = ("\nGeometry, paints and lamp: the numbers in data/cornell-box-measured, see its README and `recipes.cornell_channels`.\n"
               if recipe.name == "cornell" else "")
-    return (f"# {recipe.name}\n\n{recipe.about}. Synthetic: made by\n\n    {made}\n\n"
-            f"from the recipe in lib/recipes.py, path-traced by Mitsuba {noise['mitsuba']} ({noise['variant']}; {noise['spp']} samples per pixel, up to\n"
+    return (f"# {recipe.name}\n\n{recipe.about}. Synthetic: made by\n\n    {made}\n\n{tracer}, up to\n"
             f"{noise['spp_highest']} where a small group needed more). Noise: truth/noise.json. True reflectances and transfer: truth/materials.json.\n"
             f"{source}\nLicence: as the project's.\n")
 

@@ -1,4 +1,5 @@
 """The synthetic scenes: what is committed is what the recipes say, and its noise is within the stated bounds.  No Mitsuba here."""
+import functools
 import json
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from lib import cameras, image, model, recipes
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "data"
 scenes = pytest.mark.parametrize("name", recipes.NAMES)
+pairs = pytest.mark.parametrize("name", [n for n in recipes.STEREO_NAMES if (DATA / n).exists()])
+made = functools.cache(recipes.make)
 
 
 def truth(name, file):
@@ -201,6 +204,149 @@ def test_cornell_geometry():
     assert lamp == pytest.approx(.130 * .105, rel=1e-9)
     assert lamp + sum(area(p) for p in recipe.polygons if p.object == "ceiling") == pytest.approx(.556 * .5592, rel=1e-9)
     assert recipe.reference == {"light": (.78, .78, .78)}
+
+
+# ---- stereo scenes ----
+
+@pairs
+def test_committed_files_of_a_pair_are_the_recipe(name):
+    recipe = made(name)
+    obj, mtl = recipe.model()
+    files = {"model.obj": obj, "model.mtl": mtl, "scene.yaml": recipe.scene_yaml()} | recipe.pair_files()
+    for file, text in files.items():
+        assert (DATA / name / file).read_text() == text, file
+    materials = truth(name, "materials.json")
+    assert {g: tuple(v["rho_d"]) for g, v in materials["groups"].items()} == {g: tuple(recipe.materials[g]) for g in recipe.groups if g not in recipe.lamps}
+    assert materials["transfer"]["gamma"] == recipe.gamma
+    assert truth(name, "legend.json")["groups"] == list(recipe.groups)
+    if recipe.pair.board:
+        T = [cameras.matrix_from_rt(rt) for rt in truth(name, "boards.json")["rt_left_board"]]
+        assert np.allclose(T, recipe.pair.board.T_left_board, atol=1e-9)
+
+
+@pairs
+def test_nothing_a_pair_must_not_know(name):
+    """The photographer knows lamps and board; neither pose nor transfer lies in the folder, lenses only where there are no boards."""
+    files = {p.name for p in (DATA / name).iterdir()}
+    boards = made(name).pair.board is not None
+    assert set(yaml.safe_load((DATA / name / "scene.yaml").read_text())) == ({"lamps", "board"} if boards else {"lamps"})
+    assert files == {"scene.yaml", "origin.md", "model.obj", "model.mtl", "left.png", "right.png", "truth"} | ({"boards"} if boards else {"left.cameramodel", "right.cameramodel"})
+
+
+@pairs
+def test_rooms_of_a_pair(name):
+    """About three times what is seen; facets as the recipe has them; no two rooms alike; light cannot pass from one to another."""
+    recipe = made(name)
+    m = model.load(DATA / name / "model.obj")
+    assert m.warnings == () and len(m.facet_group) == len(recipe.polygons)
+    rooms = {}
+    for p in recipe.polygons:
+        rooms.setdefault(p.object.split("-")[0], []).append(p)
+    assert len(rooms) == 3 and 2.5 < len(recipe.polygons) / len(rooms[recipe.pair.room[:-1]]) < 3.5
+    spans = []
+    for polygons in rooms.values():
+        p = np.concatenate([q.points for q in polygons])
+        floor = next(q.points for q in polygons if q.object.endswith("-floor"))
+        along = (floor[1] - floor[0]) / np.linalg.norm(floor[1] - floor[0])
+        axis = spans[0][0] if spans else along
+        spans.append((axis, (p @ axis).min(), (p @ axis).max()))
+    ordered = sorted(s[1:] for s in spans)
+    assert all(a[1] + 0.19 < b[0] for a, b in zip(ordered, ordered[1:]))
+    sizes = [sorted(np.round([np.linalg.norm(np.ptp(q.points, axis=0)) for q in polygons if q.group == "blackboard"], 3)) for polygons in rooms.values()]
+    assert len({tuple(s) for s in sizes}) == 3
+    assert np.linalg.norm(np.linalg.inv(recipe.T_cam_world)[:3, 3]) > 3          # the model's frame is not the camera's
+
+
+@pairs
+def test_lenses_of_a_pair(name):
+    """The recipe's projection is the independent one of lib/lenses, and there and back again is exact; axes 5 to 10 degrees apart."""
+    from lib import lenses
+    recipe = made(name)
+    W, H = recipe.size
+    q = np.random.default_rng(1).uniform((0, 0), (W - 1, H - 1), (500, 2))
+    T = {}
+    for (side, (lens, T_cam_world)), sign in zip(recipe.views().items(), (1, -1)):
+        other = lenses.read(DATA / name / "truth" / f"{side}.cameramodel")
+        x, y = lens.unproject(*q.T)
+        p = np.column_stack([x, y, np.ones(len(x))])
+        assert np.abs(lens.project(p) - q).max() < 1e-9 and np.abs(other.project(p) - q).max() < 1e-9
+        T[side] = other.T_cam_ref
+        posed = cameras.read_cameramodel(DATA / name / "truth" / f"{side}.posed.cameramodel")
+        assert np.allclose(posed.T_cam_world, T_cam_world, atol=1e-9) and np.allclose(posed.K, other.K)
+    relative = T["right"] @ np.linalg.inv(T["left"])
+    assert np.allclose(relative, recipe.pair.T_right_left, atol=1e-9)
+    assert 5 < np.degrees(np.arccos(relative[2, 2])) < 10 and relative[0, 3] < 0
+
+
+@pairs
+def test_photographs_of_a_pair(name):
+    """Few pixels clip, noise is what is stated, and what the pixel shows is where the lens puts it: edges of the group picture."""
+    recipe, noise = made(name), truth(name, "noise.json")
+    assert noise["sensor"] == recipe.pair.noise and all(0 < max(v) < 0.009 for v in noise["median_pixel"].values())
+    for side in ("left", "right"):
+        photograph = image.read_photograph(DATA / name / f"{side}.png")
+        assert photograph.values.shape == (recipe.size[1], recipe.size[0], recipe.channels)
+        assert (photograph.values.max(-1) >= 1).mean() < 0.006
+        # second differences along rows: their median size is the noise's, sqrt(6) sigma 0.6745
+        d = photograph.values[:, 2:] - 2 * photograph.values[:, 1:-1] + photograph.values[:, :-2]
+        sigma = np.median(np.abs(d)) / np.sqrt(6) / 0.6745
+        expected = np.hypot(recipe.pair.noise, np.median(noise["median_pixel"][side]))
+        assert 0.8 * expected < sigma < 1.25 * expected
+    labels = image.read_labels(DATA / name / "truth" / "group.png")
+    pixels = truth(name, "materials.json")["groups"]
+    assert all(v["pixels"] == (labels == recipe.groups.index(g) + 1).sum() for g, v in pixels.items())
+    assert sum(v["pixels"] >= 500 for v in pixels.values()) >= 12 and any(v["pixels"] == 0 for v in pixels.values())
+    random, wrong, W, H = np.random.default_rng(3), 0, *recipe.size
+    for x, y in zip(random.integers(1, W - 1, 150), random.integers(1, H - 1, 150)):
+        here = labels[y - 1:y + 2, x - 1:x + 2]
+        if (here == here[1, 1]).all():
+            wrong += seen(recipe, (x, y)) != here[1, 1]
+    assert wrong == 0
+
+
+@pairs
+def test_photographs_are_seen_through_the_lens(name):
+    """Drawn through the true lenses, the model's paints explain the photographs: a pixel of another group is of another colour. A shift by 2 px is worse."""
+    recipe = made(name)
+    labels = image.read_labels(DATA / name / "truth" / "group.png")
+    photograph = image.read_photograph(DATA / name / "left.png").values.mean(-1)
+    y, x = np.mgrid[0:recipe.size[1]:2, 0:recipe.size[0]:2]
+    u, v = recipe.pair.lenses[0].unproject(x.ravel().astype(float), y.ravel().astype(float))
+
+    def spread(dx, dy):
+        q = np.column_stack([u, v, np.ones(len(u))]) @ recipe.K.T
+        q = np.rint(q[:, :2] + (dx, dy)).astype(int)
+        inside = (q >= 0).all(1) & (q < recipe.size).all(1)
+        group = labels[q[inside, 1], q[inside, 0]]
+        values = photograph[y.ravel()[inside], x.ravel()[inside]]
+        count = np.bincount(group)
+        mean = np.bincount(group, values) / np.maximum(count, 1)
+        return np.mean((values - mean[group]) ** 2)
+
+    here = spread(0, 0)
+    assert all(spread(*d) > here for d in ((2, 0), (-2, 0), (0, 2), (0, -2)))
+
+
+@pytest.mark.parametrize("name", [n for n in recipes.STEREO_NAMES if (DATA / n / "boards").exists()])
+def test_boards_of_a_pair(name):
+    """The detector finds the boards where truth puts them, on average within a twentieth of a pixel: no half pixel has crept in."""
+    import cv2
+    recipe = made(name)
+    board, rms, offsets = recipe.pair.board, [], []
+    assert 12 <= len(board.T_left_board) <= 20
+    for n in (0, 3, 7, 12, 15):
+        for side, lens, V in zip(("left", "right"), recipe.pair.lenses, (np.eye(4), recipe.pair.T_right_left)):
+            M = V @ board.T_left_board[n]
+            p = board.points() @ M[:3, :3].T + M[:3, 3]
+            found, corners = cv2.findChessboardCornersSB(cv2.imread(str(DATA / name / "boards" / f"{side}-{n:02d}.png"), 0), board.corners, flags=cv2.CALIB_CB_ACCURACY)
+            if found:
+                e = corners.reshape(-1, 2) - lens.project(p)
+                rms.append(np.sqrt((e ** 2).mean()))
+                offsets.append(e.mean(0))
+    assert len(rms) >= 7 and np.median(rms) < 0.15 and np.abs(np.mean(offsets, 0)).max() < 0.05
+    normals = np.array([T[:3, 2] for T in board.T_left_board])
+    assert np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1))).max() > 60
+    assert sum(f.stat().st_size for f in (DATA / name).rglob("*") if f.is_file()) < 7e6
 
 
 def test_executable():
