@@ -285,7 +285,10 @@ def _candidates(smallest, colour, by_row, l_pixels, l_mean, l_centre, l_low, l_h
             far_right[j] = _BAND
             tallest = max(tallest, r_high[j] - r_low[j])
     lows = r_low[by_row]
-    work = np.empty((2 * (2 + max((l_high - l_low).max(), 0)), 3))
+    rows = 0
+    for i in range(len(l_pixels)):
+        rows = max(rows, l_high[i] - l_low[i])
+    work = np.empty((2 * (2 + rows), 3))
     for i in range(len(l_pixels)):
         if l_pixels[i] < smallest:
             continue

@@ -86,7 +86,7 @@ def draw(model, camera, colour, shade, samples=32):
     return values, index_buffer.reference(model, camera).facet
 
 
-def office(angle_deg=7.0, seed=0, focal=600.0, size=(640, 480), shading=0.03, path=ROOT / "data" / "office"):
+def office(angle_deg=7.0, seed=0, focal=600.0, size=(640, 480), shading=0.03, samples=32, path=ROOT / "data" / "office"):
     """The office in two views; colours and shading of each facet by the seed, and a slightly moved camera unless it is 0."""
     rng = np.random.default_rng([11, seed])
     model = models.load(path / "model.obj")
@@ -100,7 +100,7 @@ def office(angle_deg=7.0, seed=0, focal=600.0, size=(640, 480), shading=0.03, pa
     base = rng.uniform(0.15, 0.85, (len(model.groups), 3))[model.facet_group]
     colour = (base * rng.uniform(0.6, 1.0, (model.n_facets, 1))).clip(0.05, 0.9)
     shade = rng.normal(0, shading, (model.n_facets, 3))
-    drawn = [draw(model, c, colour, shade) for c in (left, right)]
+    drawn = [draw(model, c, colour, shade, samples) for c in (left, right)]
     parts = [components(f) for _, f in drawn]
     return Pair(model, left, right, tuple(d[0] for d in drawn), tuple(d[1] for d in drawn), tuple(p[0] for p in parts), tuple(p[1] for p in parts))
 
