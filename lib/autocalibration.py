@@ -161,9 +161,12 @@ def _polish(x, length, f, R, noise):
 
 
 def _straightened(x, state):
-    """(N, 2, 2), without the radial distortion k1 = state[3] (in tangents of the angle, as OpenCV's), to first order."""
-    centred = x - state[1:3]
-    return x - centred * state[3] * (centred ** 2).sum(-1, keepdims=True) / np.exp(2 * state[0])
+    """(N, 2, 2), without the radial distortion k1 = state[3], in tangents of the angle as OpenCV's: its inverse by fixed point."""
+    centred = (x - state[1:3]) / np.exp(state[0])
+    straight = centred
+    for _ in range(4):
+        straight = centred / np.maximum(1 + state[3] * (straight ** 2).sum(-1, keepdims=True), 0.3)
+    return straight * np.exp(state[0]) + state[1:3]
 
 
 def epipolar(size, q_left, q_right, random, samples=30):

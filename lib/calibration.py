@@ -116,7 +116,7 @@ def _calibrate(boards, corners, square_m, sizes, lens, focal, folder):
     return models, float(re.findall(r"RMS error: (\S+)", run.stderr)[-1])
 
 
-def solve(boards, corners, square_m, sizes, lens, folder):
+def solve(boards, corners, square_m, sizes, lens, folder, halves=True):
     """Calibrate from all boards and, at the same time, from either half of them; in folder. BadInput where mrcal cannot."""
     from lib import boards as files
 
@@ -129,14 +129,11 @@ def solve(boards, corners, square_m, sizes, lens, folder):
     if not (seen[0] & seen[1]).any():
         raise BadInput("boards: no shot shows the board to both cameras, so their relative pose is unknown")
     some = np.flatnonzero(seen.any(0))
-    halves, why = [], None
-    for start in (0, 1):
-        half = some[start::2]
-        both = (seen[0] & seen[1])[half].sum()
-        if both < LEAST // 2:
-            why = f"{int((seen[0] & seen[1]).sum())} shots that both cameras see are too few for two halves of {LEAST // 2}"
-        halves.append(half)
-    sets = [some] + (halves if why is None else [])
+    parts, both = [some[0::2], some[1::2]], seen[0] & seen[1]
+    why = None if halves else "it was not asked for"
+    if min(both[part].sum() for part in parts) < LEAST // 2:
+        why = f"{both.sum()} shots that both cameras see are too few for two halves of {LEAST // 2}"
+    sets = [some] + (parts if why is None else [])
     take = lambda which: files.Boards(tuple(tuple(np.array(names)[which]) for names in boards.names), boards.q[:, which], boards.level[:, which])
     focal = focal_guess(boards, corners, sizes)
 

@@ -213,13 +213,10 @@ def _plane(left, right, q_left, q_right, rt, rms):
     have every point in front of both cameras."""
     import cv2
 
-    H, _ = cv2.findHomography(q_left, q_right, 0)
-    if H is None:
+    H, on = cv2.findHomography(q_left, q_right, cv2.RANSAC, max(4 * rms, 1.0))
+    if H is None or on.mean() < 0.9:
         return False, None
-    p = np.concatenate([q_left, np.ones((len(q_left), 1))], 1) @ H.T
-    error = np.linalg.norm(p[:, :2] / p[:, 2:] - q_right, axis=1)
-    if np.sqrt((error ** 2).mean()) > max(3 * rms, 0.5):
-        return False, None
+    q_left = q_left[on.ravel() > 0]
     _, rotations, translations, normals = cv2.decomposeHomographyMat(np.linalg.inv(right.K) @ H @ left.K, np.eye(3))
     v = left.directions(q_left)
     candidates = []

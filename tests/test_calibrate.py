@@ -152,10 +152,10 @@ def test_thirteen_real_pairs(root, run, tmp_path):
 
 @needs_mrcal
 def test_real_fisheye(root, tmp_path):
-    """Every sixth view of mrcal's own corners (6016x4016, 100 corners each): its focal length within 0.5 %, its residuals (0.468 px RMS
+    """Every ninth view of mrcal's own corners (6016x4016, 100 corners each): its focal length within 0.5 %, its residuals (0.468 px RMS
     by coordinate, so 0.66 by point) within 20 %. One camera only: taken for both, it stands at one place, and the verdict says so."""
     with np.load(root / "data/calib-mrcal-boards/figueroa_board_observations.npz") as file:
-        observations, intrinsics = file["observations_board"][::6], file["intrinsics_opencv8"]
+        observations, intrinsics = file["observations_board"][::9], file["intrinsics_opencv8"]
         size, spacing = tuple(map(int, file["imagersize"])), float(file["spacing"])
     weight = observations[..., 2]
     q = np.where(weight[..., None] > 0, observations[..., :2], np.nan)
@@ -172,13 +172,13 @@ def test_real_fisheye(root, tmp_path):
 
 @needs_mrcal
 def test_sigmas_hold(tmp_path):
-    """Twelve calibrations of one rig from other boards and noise: the baseline is off by its sigma, and so is the projection."""
+    """Calibrations of one rig from other boards and noise: the baseline is off by its sigma, and so is the projection."""
     left, right = chessboards.lens("left"), chessboards.lens("right")
     z, ratio = [], []
-    for seed in range(6):
+    for seed in range(5):
         random = np.random.default_rng(seed)
         found = chessboards.seen(chessboards.poses(16, random), left, right, random)
-        solution = calibration.solve(found, chessboards.CORNERS, chessboards.SQUARE, SIZES, "LENSMODEL_OPENCV8", tmp_path / str(seed))
+        solution = calibration.solve(found, chessboards.CORNERS, chessboards.SQUARE, SIZES, "LENSMODEL_OPENCV8", tmp_path / str(seed), halves=False)
         answer = calibration.judge(solution, 0.9)
         z.append((answer["pair"]["baseline_m"] - np.linalg.norm(chessboards.RT_RIGHT_LEFT[3:])) / answer["pair"]["baseline_sigma_m"])
         for truth, path, name in zip((left, right), solution.models, boards.SIDES):
@@ -200,7 +200,7 @@ def _after_best_motion(truth, ours, q, distance):
     def error(rt):
         T = cameras.matrix_from_rt(rt)
         return truth.project(p @ T[:3, :3].T + T[:3, 3]) - q
-    return error(least_squares(lambda rt: error(rt).ravel(), np.zeros(6), x_scale=[1e-3] * 3 + [1e-3] * 3).x)
+    return error(least_squares(lambda rt: error(rt).ravel(), np.zeros(6), x_scale=1e-3).x)
 
 
 @needs_mrcal
@@ -425,3 +425,184 @@ def test_undistort_refuses(refuses, root, tmp_path):
         lines = refuses(*base, tmp_path / "bad.cameramodel")
         assert len(lines) == 1 and "bad.cameramodel" in lines[0] and words in lines[0]
     assert not (tmp_path / "p.png").exists()
+
+
+# ---- the relative pose from the photographs ----
+
+PAIR = cameras.Camera(np.array([[560.0, 0, 319.5], [0, 560, 239.5], [0, 0, 1]]), 640, 480, np.eye(4))
+
+
+def features(random, rt, n=150, wrong=0.2, noise=0.3, plane=None):
+    """(N, 2), (N, 2) px: points 2 to 6 baselines' worth away, some of them matched with anything."""
+    q_left = random.uniform([20, 20], [620, 460], (n, 2))
+    z = random.uniform(5, 14, n) if plane is None else 1 / (np.concatenate([(q_left - 320) / 560, np.ones((n, 1))], 1) @ plane)
+    p = PAIR.directions(q_left) * z[:, None]
+    T = cameras.matrix_from_rt(rt)
+    q_right = PAIR.project(p @ T[:3, :3].T + T[:3, 3])
+    keep = np.isfinite(q_right).all(1) & (q_right > 0).all(1) & (q_right < [640, 480]).all(1)
+    q_left, q_right = q_left[keep] + random.normal(0, noise, (keep.sum(), 2)), q_right[keep] + random.normal(0, noise, (keep.sum(), 2))
+    bad = random.random(len(q_left)) < wrong
+    q_right[bad] = random.uniform([0, 0], [640, 480], (bad.sum(), 2))
+    return q_left, q_right
+
+
+RT = np.array([0.01, 0.11, -0.02, *(np.array([-1.0, 0.02, 0.08]) / np.linalg.norm([-1.0, 0.02, 0.08]))])
+
+
+def off(pose, rt):
+    """(rotation, direction) errors in their own sigmas."""
+    turn = np.radians(degrees_between(pose.rt_right_left, rt))
+    direction = np.arccos(np.clip(pose.rt_right_left[3:] @ rt[3:], -1, 1))
+    return turn / np.sqrt(np.trace(pose.covariance[:3, :3])), direction / np.sqrt(np.trace(pose.covariance[3:, 3:]))
+
+
+def test_relative_pose():
+    """A fifth of the matches wrong: found to its own sigma, which is small; |t| = 1 and the covariance has the five dimensions."""
+    from lib import orientation
+    z = []
+    for seed in range(10):
+        pose = orientation.relative_pose(PAIR, PAIR, *features(np.random.default_rng(seed), RT))
+        z.append(off(pose, RT))
+        assert abs(np.linalg.norm(pose.rt_right_left[3:]) - 1) < 1e-12 and not pose.planar
+        values = np.linalg.eigvalsh(pose.covariance)
+        assert abs(values[0]) < 1e-9 * values[-1] and values[1] > 0
+        assert np.degrees(np.sqrt(np.trace(pose.covariance[3:, 3:]))) < 3
+    assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.8 and np.max(z) < 4
+
+
+def test_baseline_towards_zero():
+    """The direction's sigma grows as the baseline shrinks; then the pair is refused: without parallax there is nothing to find."""
+    from lib import orientation
+    sigma = []
+    for baseline in (1.0, 0.3, 0.1):
+        rt = np.concatenate([RT[:3], baseline * RT[3:]])
+        pose = orientation.relative_pose(PAIR, PAIR, *features(np.random.default_rng(1), rt, wrong=0))
+        sigma.append(np.sqrt(np.trace(pose.covariance[3:, 3:])))
+    assert sigma[0] < sigma[1] < sigma[2]
+    for baseline in (0.01, 0.0):
+        with pytest.raises(BadInput, match="without parallax"):
+            orientation.relative_pose(PAIR, PAIR, *features(np.random.default_rng(1), np.concatenate([RT[:3], baseline * RT[3:]]), wrong=0))
+
+
+@pytest.mark.parametrize("n, wrong", [(0, 0), (10, 0), (60, 1.0)])
+def test_too_few_matches(n, wrong):
+    from lib import orientation
+    with pytest.raises(BadInput, match="matches"):
+        orientation.relative_pose(PAIR, PAIR, *features(np.random.default_rng(0), RT, n=max(n, 1), wrong=wrong))
+
+
+def test_one_plane():
+    """A plane has two explanations. One of the two that are given is the truth."""
+    from lib import orientation
+    for seed in range(4):
+        pose = orientation.relative_pose(PAIR, PAIR, *features(np.random.default_rng(seed), RT, noise=0.1, wrong=0.1, plane=np.array([0.05, 0.02, 0.12])))
+        assert pose.planar
+        candidates = [pose.rt_right_left] + ([pose.other] if pose.other is not None else [])
+        assert min(degrees_between(c, RT) for c in candidates) < 1.5
+
+
+def test_real_pair(root, run, refuses, tmp_path):
+    """Photographs, undistorted and oriented, against the pose that the thirteen boards tell (this project's own calibration)."""
+    left = lenses.Lens("LENSMODEL_OPENCV5", np.array([533.8, 533.9, 341.9, 235.0, -0.281, 0.075, 0.0011, -0.0002, 0.02]), 640, 480, np.eye(4), "")
+    right = lenses.Lens("LENSMODEL_OPENCV5", np.array([537.5, 537.0, 326.9, 250.0, -0.279, 0.073, 0.0009, 0.0001, 0.02]), 640, 480, np.eye(4), "")
+    for side, lens in (("left", left), ("right", right)):
+        result = run("stages/undistort.py", "--photograph", root / f"data/opencv-stereo13/boards/{side}-13.png", "--lens-camera", write(tmp_path / f"{side}.cameramodel", lens),
+                     "--pinhole", tmp_path / f"{side}.png", "--camera", tmp_path / f"{side}.pinhole.cameramodel")
+        assert result.returncode == 0, result.stderr
+    orient = lambda right: ["stages/orient.py", "--photograph", tmp_path / "left.png", "--photograph-right", tmp_path / f"{right}.png",
+                            "--lens-camera", tmp_path / "left.pinhole.cameramodel", "--lens-camera-right", tmp_path / f"{right}.pinhole.cameramodel",
+                            "--camera", tmp_path / "lo.cameramodel", "--camera-right", tmp_path / "ro.cameramodel", "--orientation", tmp_path / "orientation.json"]
+    lines = refuses(*orient("left"))                                 # the same photograph twice
+    assert len(lines) == 1 and "without parallax" in lines[0] and not (tmp_path / "orientation.json").exists()
+    result = run(*orient("right"))
+    assert result.returncode == 0, result.stderr
+    answer = json.loads((tmp_path / "orientation.json").read_text())
+    assert answer["unit"] == "baseline" and answer["inliers"] <= answer["matches"] and answer["rms_px"] < 1
+    rt = np.array(answer["rt_right_left"])
+    assert np.linalg.norm(rt[:3]) < np.radians(1.0) and np.degrees(np.arccos(-rt[3])) < 3
+    right = cameras.read_cameramodel(tmp_path / "ro.cameramodel")
+    assert np.allclose(cameras.rt_from_matrix(right.T_cam_world), rt) and np.allclose(cameras.read_cameramodel(tmp_path / "lo.cameramodel").T_cam_world, np.eye(4))
+
+
+# ---- the lenses from the photographs ----
+
+@pytest.mark.parametrize("scene", ["office", "office-1", "office-2", "office-3", "cornell"])
+def test_focal_length_from_right_angles(root, scene):
+    """A room's right angles tell the focal length of a single photograph, to its own sigma."""
+    from lib import autocalibration
+    camera = cameras.read_cameramodel(root / f"data/{scene}/left.posed.cameramodel")
+    grey = boards.grey8(root / f"data/{scene}/left.png")
+    found = autocalibration.vanishing(autocalibration.segments(grey), grey.shape[::-1], np.random.default_rng(0))
+    if found is None:
+        assert scene == "cornell"                                    # seen along an axis: two of the three directions lie in the picture plane
+        return
+    log_f, sigma = found[:2]
+    true = np.log(camera.K[0, 0] / max(grey.shape))
+    assert sigma > autocalibration.USEFUL or abs(log_f - true) < 3 * sigma and sigma < 0.05
+
+
+def test_bent_edges_tell_the_distortion(root):
+    """The office through a barrel: the focal length is still found, and so is k1."""
+    from lib import autocalibration, image
+    camera = cameras.read_cameramodel(root / "data/office/left.posed.cameramodel")
+    f = camera.K[0, 0]
+    bent = lenses.Lens("LENSMODEL_OPENCV4", np.array([1.1 * f, 1.1 * f, 319.5, 239.5, -0.15, 0, 0, 0]), 640, 480, np.eye(4), "")
+    straight = image.read_photograph(root / "data/office/left.png").values.mean(-1)
+    from scipy import ndimage
+    q = camera.K[0, 0] * bent.unproject(camera.pixels())[..., :2] + [319.5, 239.5]
+    grey = np.rint(255 * np.clip(ndimage.map_coordinates(straight, [q[..., 1], q[..., 0]], order=1, mode="nearest"), 0, 1)).astype(np.uint8)[20:-20, 20:-20]
+    log_f, sigma, k1, k1_sigma = autocalibration.vanishing(autocalibration.segments(np.ascontiguousarray(grey)), (600, 440), np.random.default_rng(0))
+    assert abs(np.exp(log_f) * 600 / (1.1 * f) - 1) < 0.05 and abs(k1 + 0.15) < 0.03
+
+
+def test_epipolar_focal_length_and_where_it_is_blind():
+    """A general motion tells f; axes that meet at equal distances do not (Sturm 1999), and the sigma knows."""
+    from lib import autocalibration
+    random = np.random.default_rng(0)
+    general = np.array([0.25, 0.1, 0.3, -0.6, 0.5, 0.6])
+    found = autocalibration.epipolar((640, 480), *features(random, general, n=300, noise=0.2, wrong=0.1), random)
+    assert found and abs(found[0] - np.log(560 / 640)) < 3 * found[1] and found[1] < autocalibration.USEFUL
+    angle = 0.12                                                     # both axes through a point 8.3 baselines away
+    fixating = np.array([0, angle, 0, -np.cos(angle / 2), 0, np.sin(angle / 2)])
+    found = autocalibration.epipolar((640, 480), *features(random, fixating, n=300, noise=0.2, wrong=0.1), random)
+    assert found is None or found[1] > 0.1
+
+
+def lenses_of_pair(run, folder, left, right):
+    result = run("stages/calibrate.py", "--photograph", left, "--photograph-right", right, *(w for k in ("camera", "camera-right", "corners", "calibration")
+                 for w in (f"--{k}", folder / k)), "--report", folder / "r.json")
+    assert result.returncode == 0, result.stderr
+    models = [cameras.read_cameramodel(folder / k) for k in ("camera", "camera-right")]
+    assert all((camera.T_cam_world == np.eye(4)).all() for camera in models)     # one centre: the lenses alone
+    return json.loads((folder / "calibration").read_text()), models, result.stderr
+
+
+def test_lenses_of_a_pair(root, run, tmp_path):
+    answer, models, _ = lenses_of_pair(run, tmp_path, root / "data/office/left.png", root / "data/office/left.png")
+    assert answer["unit"] == "baseline" and answer["pair"] is None and "right angles" in answer["verdict"]
+    left = answer["cameras"]["left"]
+    assert abs(left["fx"] - 400) < 3 * left["sigma"] and left["sigma"] < 20 and not left["assumed"] and models[0].K[0, 0] == left["fx"]
+
+
+def test_nothing_tells_the_lens(run, tmp_path):
+    """Noise: a default is assumed, and called so; never a guess passed off as a finding."""
+    from lib import image
+    random = np.random.default_rng(0)
+    for side in ("left", "right"):
+        image.write_png8(tmp_path / f"{side}.png", random.integers(0, 256, (240, 320), dtype=np.uint8))
+    answer, _, stderr = lenses_of_pair(run, tmp_path, tmp_path / "left.png", tmp_path / "right.png")
+    left = answer["cameras"]["left"]
+    assert left["assumed"] and left["fx"] == 384 and left["sigma"] > 100 and answer["verdict"].startswith("unknown") and "assumed" in stderr
+
+
+def test_focal_length_from_exif(run, tmp_path):
+    """28 mm of a film 36 mm wide."""
+    from PIL import Image
+    tags = Image.Exif()
+    tags.get_ifd(0x8769)[0xA405] = 28
+    picture = Image.fromarray(np.full((480, 640, 3), 128, np.uint8))
+    for side in ("left", "right"):
+        picture.save(tmp_path / f"{side}.jpg", exif=tags)
+    answer, _, _ = lenses_of_pair(run, tmp_path, tmp_path / "left.jpg", tmp_path / "right.jpg")
+    left = answer["cameras"]["left"]
+    assert left["focal_from"] == "EXIF" and abs(left["fx"] / (28 / 36 * 640) - 1) < 0.05 and left["sigma"] > 0.02 * left["fx"]
