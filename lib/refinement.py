@@ -12,6 +12,7 @@ The paper moves the corners of facets onto the corners of their regions by plain
 
 import functools
 import math
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +39,7 @@ class Refined:
     rms_px : of the residuals, robust
     support : share of the predicted edges that the photographs show; chance : share that would be found anywhere
     evidence : nats, from support against chance
-    trace : list of dict              iteration, step, error_px, rt_cam_world, ...
+    trace : list of dict              iteration, step, error_px, rt_cam_world, ...; cpu_s, wall_s by the process's clocks
     status, chosen, ambiguous         see refine
     """
 
@@ -476,10 +477,16 @@ def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, 
             before = (T, scale)
             T, scale, H, parts = _solve(rig, T, scale, found, sigma, free, prior if factor > 1 or reach > 5 else None)
             last = _Fit(H, parts, at, [(f[0], f[2]) for f in found])
-            trace.append({"iteration": len(trace), "step": "refined", "error_px": _rms(parts), "factor": factor, "samples": len(r), "rt_cam_world": rt_from_matrix(T)})
+            trace.append(_point(trace, T, _rms(parts), factor=factor, samples=len(r)))
             if _moved_px(rig, before, T, scale) < (0.01 if final else 0.1) * factor:
                 break
     return T, scale, last
+
+
+def _point(trace, T, error_px, step="refined", **more):
+    """One entry of the trace; the clocks are the process's."""
+    return {"iteration": len(trace), "step": step, "error_px": error_px, **more, "rt_cam_world": rt_from_matrix(T),
+            "cpu_s": time.process_time(), "wall_s": time.perf_counter()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -551,7 +558,7 @@ def _paper_method(model, rig, T, scale, matches, labels, trace, iterations=400):
             break
         error = math.sqrt(cost / number)
         trace[0]["error_px"] = trace[0]["error_px"] or error
-        trace.append({"iteration": len(trace), "step": "refined", "error_px": error, "samples": number, "rt_cam_world": rt_from_matrix(T)})
+        trace.append(_point(trace, T, error, samples=number))
         if iteration % 20 == 19 and error > before * (1 - 1e-3):
             break
         before = error if iteration % 20 == 19 else before
@@ -655,8 +662,8 @@ def _rig(sides):
 
 
 def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px):
-    """The pose refined from several coarsenesses; that which the photographs support most."""
-    start = {"iteration": 0, "step": "linear", "error_px": None, "rt_cam_world": rt_from_matrix(pose.linear)}
+    """The pose refined, from the finest start to coarser ones until the photographs support one without doubt; else that which they support most."""
+    start = _point([], pose.linear, None, step="linear")
     prior = (np.linalg.inv(9 * pose.covariance), pose.T, pose.scale)
     if method == "paper":
         trace = [start]
@@ -668,9 +675,10 @@ def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px
         schedule = [(f, reach) for f in (16, 8, 4, 2, 1) if f <= factor for reach in (8.0, 5.0)]
         trace = [dict(start)]
         T, scale, fit = _edges_method(model, edges, rig, pyramids, pose.T, pose.scale, free, schedule, trace, prior)
-        tried.append((_evidence(model, edges, rig, pyramids, T, scale)[2], T, scale, trace))
+        support, _, evidence = _evidence(model, edges, rig, pyramids, T, scale)
+        tried.append((evidence, T, scale, trace))
         factor *= 2
-        if factor not in pyramids[0] or 4 * factor > wanted:
+        if (support > 0.7 and evidence > PROOF) or factor not in pyramids[0] or 4 * factor > wanted:
             break
     _, T, scale, trace = max(tried, key=lambda t: t[0])
     T, scale, fit = _edges_method(model, edges, rig, pyramids, T, scale, free, [(1, 3.0), (1, 2.0)], trace)

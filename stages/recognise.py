@@ -13,6 +13,7 @@ writes  posed, posed-right   the cameras in the model's frame
 """
 import argparse
 import sys
+import time
 from pathlib import Path
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
@@ -58,12 +59,13 @@ def main(opt):
         report["search"], report["evidence_nats"] = found.counts, [pose.score for pose in found.poses]
         if found.status == "not recognised":
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}")
+        zero = [now - past for now, past in zip((time.process_time(), time.perf_counter()), report.clocks())]
         with report.timing("refine"):
             result = refinement.refine(model, sides, found, scene.labels, method=opt.method, lens_px=opt.lens_px)
         if result.status == "not recognised":
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that pose's edges")
         for step in result.trace:
-            report.trace(**{k: v for k, v in step.items() if k != "rt_cam_world"})
+            report.trace(**{k: v for k, v in step.items() if k != "rt_cam_world"} | {"cpu_s": step["cpu_s"] - zero[0], "wall_s": step["wall_s"] - zero[1]})
         report.error("edges", result.rms_px, unit="px", against="sub-pixel edges of the photographs")
         report["edges_found"], report["edges_found_by_chance"] = result.support, result.chance
         if result.evidence < refinement.PROOF:
@@ -79,7 +81,7 @@ def main(opt):
                 "status": result.status, "rt_cam_world": pair[0], "scale": result.scale if scene.unit == "baseline" else None,
                 "covariance": result.covariance, "perturbation": "T = exp(omega, tau) T_hat, left camera's axes, rad and m",
                 "matches": [{"left_label": int(scene.labels[i, 0]), "facet": int(f)} for i, f in found.poses[result.chosen].matches],
-                "trace": result.trace, "ambiguous": result.ambiguous})
+                "trace": [{k: v for k, v in step.items() if k not in ("cpu_s", "wall_s")} for step in result.trace], "ambiguous": result.ambiguous})
 
 
 if __name__ == "__main__":
