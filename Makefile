@@ -20,11 +20,11 @@ GOALS := $(or $(MAKECMDGOALS),demo)
 SCENES := $(shell cd "$(DATA)" 2>/dev/null && ls -d */scene.yaml 2>/dev/null | cut -d/ -f1)
 
 # What is asked for: scenes and stages of scenes; those of one scene are planned and run together.
-WISHES := $(sort $(filter-out $(TARGETS),$(GOALS)) $(if $(filter demo,$(GOALS)),office) $(if $(filter all,$(GOALS)),$(SCENES)))
+WISHES := $(sort $(filter-out $(TARGETS),$(GOALS)) $(if $(filter demo,$(GOALS)),office-stereo) $(if $(filter all,$(GOALS)),$(SCENES)))
 NAMES := $(sort $(foreach wish,$(WISHES),$(firstword $(subst /, ,$(wish)))))
 
 .PHONY: $(TARGETS) $(WISHES) $(NAMES:%=run-%)
-demo: run-office
+demo: run-office-stereo
 all: $(SCENES:%=run-%)
 
 define scene
@@ -60,7 +60,7 @@ clean:
 
 help:
 	@printf '%s\n' \
-	  'make                    set up, and run the demo scene: office' \
+	  'make                    set up, and run the demo scene: office-stereo' \
 	  'make <scene>            one scene of $(DATA)/, up to its goals' \
 	  'make <scene>/<stage>    one scene, up to and including one stage' \
 	  'make all                every scene;  make -k all goes on after a failure' \
