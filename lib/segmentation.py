@@ -92,24 +92,28 @@ def noise(picture):
     return float(np.sqrt(np.mean((np.median(d, axis=0) / (0.6745 * 6)) ** 2)))
 
 
-def auto_lambda(*pictures):
-    """One lambda for all the pictures: the larger of what noise and shading ask for.
+def noise_lambda(*pictures):
+    """The lambda at which pure noise of the pictures' strength stays one region, with probability 0.95.
 
-    Noise: a pixel alone saves |Z - mean|^2 = sigma^2 chi^2_C and costs 4 lambda. Among N pixels chi^2_C stays below C + 2 sqrt(C t) + 2 t, t = ln N + 3,
-    with probability 0.95 (Laurent and Massart 2000). Larger shapes are more numerous (at most 2.64^p of perimeter p at a place) yet cost p lambda: above 2 sigma^2
-    they ask for less than single pixels do. So pure noise stays one region.
-
-    Facets and shading: a square of side l and contrast d is kept while C l^2 d^2 > 4 l lambda; a ramp of contrast D over it is cut in two while
-    C l^2 D^2 / 16 > l lambda. Whatever lambda is, a facet that stands out by d is whole while its shading is below 2 d: lambda only says for which d.
-    We take the d = 0.06 that an irradiance 1.3 times as strong makes on mid-grey at gamma 2.2, on the smallest facet worth a plane, a 24th of the picture's side.
+    A pixel alone saves |Z - mean|^2 = sigma^2 chi^2_C and costs 4 lambda. Among N pixels chi^2_C stays below C + 2 sqrt(C t) + 2 t, t = ln N + 3 (Laurent and
+    Massart 2000). Larger shapes are more numerous, about 2.64^p of perimeter p at a place, yet cost p lambda: above 2 sigma^2 they ask for less than pixels do.
     """
     sigma = max(noise(p) for p in pictures)
-    channels = max(p.shape[2] for p in pictures)
-    pixels = max(p.shape[0] * p.shape[1] for p in pictures)
-    t = math.log(pixels) + 3
-    noisy = sigma ** 2 * (channels + 2 * math.sqrt(channels * t) + 2 * t) / 4
-    shaded = channels * math.sqrt(pixels) / 24 * 0.06 ** 2 / 4
-    return max(noisy, shaded)
+    C = max(p.shape[2] for p in pictures)
+    t = math.log(max(p.shape[0] * p.shape[1] for p in pictures)) + 3
+    return sigma ** 2 * (C + 2 * math.sqrt(C * t) + 2 * t) / 4
+
+
+def auto_lambda(*pictures):
+    """One lambda for all the pictures: the larger of what noise asks for (`noise_lambda`) and what shading does.
+
+    A square facet of side l and contrast d is kept while C l^2 d^2 > 4 l lambda; a ramp of contrast D over it is cut in two once C l^2 D^2 / 16 > l lambda.
+    So whatever lambda is, a facet that just stands out, by d, is whole while its shading is below 2 d: lambda only says for which d. We take the d = 0.06 that light
+    1.3 times as strong makes on mid-grey at gamma 2.2, on the smallest facet worth a plane, a 24th of the picture's side.
+    """
+    C = max(p.shape[2] for p in pictures)
+    side = math.sqrt(max(p.shape[0] * p.shape[1] for p in pictures)) / 24
+    return max(noise_lambda(*pictures), C * side * 0.06 ** 2 / 4)
 
 
 # -- 1. rows and columns, each exact

@@ -76,10 +76,13 @@ def main(opt):
         with artefact.writing_all(*files.values()) as partials:
             for partial, labels in zip(partials, regions.values()):
                 image.write_labels(partial, labels)
-        for side, file in files.items():
-            if file != names[side]:
-                names[side].unlink(missing_ok=True)
-                names[side].symlink_to(file.name)
+        for side, name in names.items():
+            wide = name.with_suffix(".tif")
+            if files[side] == name:
+                wide.unlink(missing_ok=True)                       # of an earlier run
+            else:
+                name.unlink(missing_ok=True)
+                name.symlink_to(wide.name)
 
 
 if __name__ == "__main__":
