@@ -386,6 +386,9 @@ def _facts(parts):
     if _finite(errors.get("reflectance.mean_relative")):
         facts.append(("Reflectance error", percent(errors["reflectance.mean_relative"]),
                       f"mean against truth; at most {number(errors.get('reflectance.max_absolute'), 2)} absolute; {percent(errors.get('reflectance.within_3_sigma'), 0)} within 3 σ"))
+    if parts.vision and (sigma := _vision().pose_sigma(parts.vision.pose)):
+        true = f"; {number(errors['pose.centre_mm'], 2)} mm off the truth" if _finite(errors.get("pose.centre_mm")) else ""
+        facts.append(("Camera found to", f"{number(sigma[1], 2)} mm", f"and {number(sigma[0], 2)}°, 1 σ{true}"))
     times = [r["cpu_s"] for r in parts.reports.values() if _finite(r.get("cpu_s"))]
     if times:
         upto = list(parts.reports)
@@ -862,11 +865,14 @@ def build(parts, limit_bytes=LIMIT_BYTES):
     return text
 
 
-def _build(parts, width):
+def _vision():
     from lib import vision_page                      # which imports this module
+    return vision_page
 
+
+def _build(parts, width):
     kind, badge, sentence = verdict(parts)
-    seeing = vision_page.sections(parts.vision, width) if parts.vision else ""
+    seeing = _vision().sections(parts.vision, width) if parts.vision else ""
     body = "".join([_hero(parts, width), _difference(parts, width), _materials(parts), _light(parts), _models(parts), seeing, _buffers(parts, width), _convergence(parts),
                     _times(parts), _warnings(parts), _made(parts)])
     return f"""<!doctype html>
@@ -876,7 +882,7 @@ def _build(parts, width):
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <title>{esc(parts.scene)}: materials from one photograph</title>
-<style>{STYLE}{vision_page.STYLE if seeing else ''}</style>
+<style>{STYLE}{_vision().STYLE if seeing else ''}</style>
 </head>
 <body>
 <header><p class="eyebrow">Materials and light from one photograph</p><h1>{esc(parts.scene)} <span class="badge {kind}">{esc(badge)}</span></h1><p class="verdict">{esc(sentence)}</p></header>

@@ -112,7 +112,7 @@ def _lenses(vision):
                 continue
             views = f'{camera["boards"]} boards, {camera["corners"]} corners, {camera.get("outliers", 0)} of them outliers' if "boards" in camera else ""
             cells = "".join(f'<td class=num data-label="{label}">{number(camera.get(key), digits)}</td>'
-                            for key, label, digits in (("fx", "fx, px", 5), ("fy", "fy, px", 5), ("cx", "cx, px", 5), ("cy", "cy, px", 5), ("rms_px", "reprojection, px", 2)))
+                            for key, label, digits in (("fx", "fx, px", 5), ("fy", "fy, px", 5), ("cx", "cx, px", 5), ("cy", "cy, px", 5), ("rms", "reprojection, px", 2)))
             rows.append(f'<tr><th scope=row>{side}</th><td data-label="lens">{esc(camera.get("lens", "").removeprefix("LENSMODEL_"))}</td>{cells}<td class="remark">{esc(views)}</td></tr>')
             maps.append(_uncertain(camera, side))
         heads = "".join(f"<th scope=col class=num>{h}</th>" for h in ("f<sub>x</sub>, px", "f<sub>y</sub>, px", "c<sub>x</sub>, px", "c<sub>y</sub>, px", "Reprojection, px"))
@@ -134,7 +134,7 @@ def _lenses(vision):
     return _section("Lenses", body)
 
 
-LOW_PX, HIGH_PX = 0.03, 10.0          # ends of the scale of uncertainty, logarithmic
+LOW_PX, HIGH_PX = 0.01, 10.0          # ends of the scale of uncertainty, logarithmic
 RAMP = np.array([[226, 240, 239], [150, 205, 200], [240, 206, 130], [222, 120, 60], [130, 30, 40]], float)
 
 
@@ -162,7 +162,7 @@ def _uncertain(camera, side):
 def _scale():
     stops = ", ".join(css(c) for c in RAMP)
     return (f'<div class="scale" style="max-width:480px"><i style="background:linear-gradient(90deg, {stops})"></i><p><span>{number(LOW_PX)} px</span>'
-            f'<span>{number(float(np.sqrt(LOW_PX * HIGH_PX)), 1)} px</span><span>{number(HIGH_PX)} px or more</span></p></div>')
+            f'<span>{number(float(np.sqrt(LOW_PX * HIGH_PX)), 2)} px</span><span>{number(HIGH_PX)} px or more</span></p></div>')
 
 
 def _regions(vision, width):
@@ -222,16 +222,22 @@ def _facets(vision, width):
                     "The plane of each matched region, such that it mirrors the left region on the right one. Distances are taken at the middle of the facet, along the left camera’s axis.")
 
 
+def pose_sigma(pose):
+    """(degrees, mm): one sigma of the camera's direction and place, or None where the pose does not say."""
+    if not (pose or {}).get("covariance"):
+        return None
+    s = np.sqrt(np.maximum(np.diag(np.asarray(pose["covariance"], float)), 0))
+    return float(np.degrees(np.linalg.norm(s[:3]))), float(1000 * np.linalg.norm(s[3:]))
+
+
 def _pose(vision, width):
     """Figures 2.6 to 2.8: the model over both photographs, after the linear step and after each iteration."""
     pose = vision.pose
     if not pose:
         return ""
     said = []
-    covariance = pose.get("covariance")
-    if covariance is not None:
-        s = np.sqrt(np.maximum(np.diag(np.asarray(covariance, float)), 0))
-        said.append(f"known to {number(float(np.degrees(np.linalg.norm(s[:3]))), 2)}° and {number(float(1000 * np.linalg.norm(s[3:])), 2)} mm (1 σ)")
+    if (sigma := pose_sigma(pose)):
+        said.append(f"known to {number(sigma[0], 2)}° and {number(sigma[1], 2)} mm (1 σ)")
     said.append(f"{len(pose.get('matches') or [])} facets matched")
     others = pose.get("ambiguous") or []
     if others:

@@ -74,10 +74,10 @@ def test_other_poses_are_said(office):
 
 
 def test_lenses_in_words_and_colours(office):
-    camera = {"lens": "LENSMODEL_OPENCV8", "size": [640, 480], "fx": 500.0, "fy": 501.0, "cx": 320.0, "cy": 240.0, "rms_px": 0.1, "boards": 12, "corners": 648, "outliers": 2,
+    camera = {"lens": "LENSMODEL_OPENCV8", "size": [640, 480], "fx": 500.0, "fy": 501.0, "cx": 320.0, "cy": 240.0, "rms": 0.1, "boards": 12, "corners": 648, "outliers": 2,
               "uncertainty": {"distance_m": 3.0, "centre_px": 0.2, "sigma_px": [[0.1, None], [20.0, 0.01]]}}
     calibration = {"verdict": "good to 0.2 px at 3 m", "cameras": {"left": camera, "right": camera}, "pair": {"baseline_m": 0.4, "baseline_sigma_m": 0.001, "angle_deg": 6.0}}
     text = built(seen(office, calibration=calibration, orientation={"inliers": 120, "rms_px": 0.4, "angle_deg": 6.2}))
     assert "Good to 0.2 px at 3 m." in text and "400 ± 1 mm apart, axes 6° apart" in text and "120 point matches" in text
-    unknown = {**camera, "uncertainty": {"sigma_px": None}, "rms_px": None}
+    unknown = {**camera, "uncertainty": {"sigma_px": None}, "rms": None}
     assert "<h2>Lenses</h2>" in built(seen(office, calibration={"verdict": None, "cameras": {"left": unknown}, "pair": {}}))
