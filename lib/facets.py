@@ -581,7 +581,7 @@ def reconstruct(pair, labels, values, left, right, *, iterations=30, progress=No
     sigma_side = _side_sigma([x for x in measured if not isinstance(x, str)])
     found, refused = [], []
     for l, r, x in zip(left, right, measured):
-        answer = x if isinstance(x, str) else _facet(pair, labels, values, regions, split, int(l), int(r), x, sigma_side)
+        answer = x if isinstance(x, str) else _facet(pair, labels, values, regions, edges, split, int(l), int(r), x, sigma_side)
         (found.append(answer) if isinstance(answer, Facet) else refused.append(Refused(int(l), int(r), answer)))
     return found, refused, sigma_side
 
@@ -752,7 +752,7 @@ def _disagreement(x, A, b):
     return max(1.0, float(step @ np.linalg.pinv(spread, rcond=1e-6, hermitian=True) @ step) / 7.81)
 
 
-def _facet(pair, labels, values, regions, split, l, r, x, sigma_side):
+def _facet(pair, labels, values, regions, edges, split, l, r, x, sigma_side):
     """Facet, or why not."""
     (u0, v0), unit = x.uv0, np.array([x.size, x.size, 1])
     A, b, square, _ = _with_sides(x, sigma_side)
@@ -770,7 +770,8 @@ def _facet(pair, labels, values, regions, split, l, r, x, sigma_side):
     if np.sqrt(np.linalg.eigvalsh(covariance)[-1]) > MOST_TILT * np.linalg.norm(m):
         return "condition: distance or direction not known"
     a, b, c = plane - [0, 0, plane[0] * u0 + plane[1] * v0]
-    polygon = outline(labels[0], l, pair.left, m)
+    own = slice(edges[0].first[l], edges[0].first[l + 1])
+    polygon = outline(labels[0], l, pair.left, m, edges[0].q[own], edges[0].sigma[own])
     if a >= 0.95 or polygon is None:
         return "through a camera's centre"
     overlap = _mutual(pair, labels, values, regions, split, l, r, a, b, c)
@@ -792,20 +793,49 @@ def _mutual(pair, labels, values, regions, split, l, r, a, b, c):
     return there * back / (there + back - there * back) if there * back > 0 else 0.0
 
 
-def outline(labels, label, camera, m):
-    """(P, 3) the outer outline of a region on the plane m . x = 1; None where part of it lies behind the camera."""
+def outline(labels, label, camera, m, q, sigma):
+    """(P, 3) the outer outline of a region on the plane m . x = 1; None where part of it lies behind the camera.
+
+    q, sigma : the region's border points (n, 2) px and how well each is located. Each straight side of the outline is the line through
+    its points, its corners are where the lines meet; a side without points is the pixels' outer edge.
+    """
     import cv2
 
     y, x = np.nonzero(labels == label)
-    y0, x0 = y.min(), x.min()
-    mask = np.zeros((y.max() - y0 + 3, x.max() - x0 + 3), np.uint8)
-    mask[y - y0 + 1, x - x0 + 1] = 1
+    y0, x0 = y.min() - 1, x.min() - 1
+    mask = np.zeros((y.max() - y0 + 2, x.max() - x0 + 2), np.uint8)
+    mask[y - y0, x - x0] = 1
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    ring = max(contours, key=len)
-    q = cv2.approxPolyDP(ring, 1.5, True)[:, 0].astype(float) + [x0 - 1, y0 - 1]
-    v = camera.directions(q)
+    ring = cv2.approxPolyDP(max(contours, key=len), 1.5, True)[:, 0].astype(float) + [x0, y0]
+    if len(ring) < 3:
+        return None
+    along = np.roll(ring, -1, 0) - ring
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    along = along / length
+    turn = np.sign((ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1)).sum())
+    outward = turn * np.column_stack([along[:, 1], -along[:, 0]])
+    base, direction = ring + 0.5 * outward, along.copy()
+    q = q[sigma < 0.5 * WEAK]
+    for k in range(len(ring)):
+        t, off = (q - ring[k]) @ along[k], (q - ring[k]) @ outward[k]
+        near = q[(t > 1.5) & (t < length[k] - 1.5) & (np.abs(off - 0.5) < 1.5)]
+        if len(near) >= 4 and np.ptp((near - ring[k]) @ along[k]) > 3:
+            base[k] = near.mean(axis=0)
+            v = np.linalg.svd(near - base[k], full_matrices=False)[2][0]
+            if abs(v @ along[k]) > 0.97:
+                direction[k] = v * np.sign(v @ along[k])
+    before, back = np.roll(base, 1, 0), np.roll(direction, 1, 0)
+    cross = back[:, 0] * direction[:, 1] - back[:, 1] * direction[:, 0]
+    corner = ring + 0.5 * (outward + np.roll(outward, 1, 0))
+    sharp = np.abs(cross) > 0.2
+    d = base - before
+    s = (d[:, 0] * direction[:, 1] - d[:, 1] * direction[:, 0]) / np.where(sharp, cross, 1)
+    meet = before + s[:, None] * back
+    sharp &= np.linalg.norm(meet - ring, axis=1) < 3
+    corner[sharp] = meet[sharp]
+    v = camera.directions(np.clip(corner, -0.5, np.array(labels.shape[::-1]) - 0.5))
     height = v @ m
-    if len(q) < 3 or not (height > 1e-6 * np.linalg.norm(m)).all():
+    if not (height > 1e-6 * np.linalg.norm(m)).all():
         return None
     return v / height[:, None]
 
