@@ -8,12 +8,16 @@ form_factors   rays, hemicube and analytic factors: an empty box against analyti
 solvers        the light balance of `office` at rho 0.5, 0.9, 0.99 against elimination
 meshes         uniform and adapted patches, `office`, against a fine mesh
 fit            paper, damped and Gauss-Newton, and the whole chain, on `office` and `gallery-white` against truth/
+segment        the energy of eq. 2.1 beside plain merging and Pottslab (where it is installed: pip install pottslab)
+facets         planes of true regions by borders, intensities and both, against truth
+recognise      the pose by the paper's gradient and by the trust region; seeded trials of the search
 
 CPU seconds of one process, all threads, after a warm-up that loads or compiles every kernel; the median of repeated runs
 where they are short. A number means nothing while other work runs beside it.
 """
 import argparse
 import csv
+import importlib
 import os
 import sys
 import time
@@ -212,6 +216,8 @@ def plot_fit(rows, axes):
 CURVES = {"form_factors": (form_factor_curves, plot_form_factors, 2), "solvers": (solver_curves, plot_solvers, 3),
           "meshes": (mesh_curves, plot_meshes, 2), "fit": (fit_curves, plot_fit, 2)}
 
+ALONE = {"segment": "segment_bench", "facets": "facet_curves", "recognise": "recognise_curves"}      # modules that measure and draw by themselves
+
 
 def surface_of(scene):
     from lib import mesh, model
@@ -220,7 +226,7 @@ def surface_of(scene):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("curves", nargs="*", choices=[*CURVES, []], help=f"of {', '.join(CURVES)}; none: all")
+    parser.add_argument("curves", nargs="*", choices=[*CURVES, *ALONE, []], help=f"of {', '.join([*CURVES, *ALONE])}; none: all")
     parser.add_argument("--output", type=Path, default=ROOT / "build" / "bench")
     opt = parser.parse_args()
     from lib import form_factors
@@ -230,10 +236,14 @@ def main():
 
     form_factors.warm_up()
     opt.output.mkdir(parents=True, exist_ok=True)
-    for name in opt.curves or CURVES:
+    for name in opt.curves or [*CURVES, *ALONE]:
         began = time.time()
-        measure, plot, columns = CURVES[name]
         print(f"{name}:", flush=True)
+        if name in ALONE:
+            importlib.import_module(f"tests.{ALONE[name]}").curves(opt.output)
+            print(f"    {opt.output} ({time.time() - began:.0f} s)")
+            continue
+        measure, plot, columns = CURVES[name]
         head, rows = measure(lambda *row: print("   ", *(f"{x:.4g}" if isinstance(x, float) else x for x in row), flush=True))
         if not rows:
             print("    nothing measured")
