@@ -341,10 +341,11 @@ def _templates(width, ramp, step):
 
 @dataclass(frozen=True, eq=False)
 class _Rig:
-    """The pair, fixed: K and T_side_left of each side (the translation in units of the facets)."""
+    """The pair, fixed: its sides, T_side_left of each (the translation in units of the facets), and how far away the model is seen, m."""
 
     sides: tuple
     relative: tuple
+    depth: float
 
     def cameras(self, T, scale):
         made = []
@@ -502,15 +503,19 @@ def _rms(parts):
     return float(math.sqrt(total / max(sum(w.sum() for _, _, w in parts), 1e-12)))
 
 
-def _moved_px(rig, old, T, scale):
-    """How far the picture's corners and middle, at the scene's depth, move between two poses, px (largest)."""
-    T0, scale0 = old
+def _view(rig):
+    """(5, 2) px, (5, 3) m: corners and middle of the left picture, and points there at the scene's depth, left camera's axes."""
     camera = rig.sides[0].camera
-    depth = max(np.linalg.norm(T[:3, 3] - T0[:3, 3]), 1.0) * 3
-    q = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height], [camera.width / 2, camera.height / 2]], float)
-    x = camera.directions(q) * depth
-    p = (x - T0[:3, 3]) @ T0[:3, :3]
-    return float(np.abs(_project(rig, 0, T, scale, p) - q).max())
+    W, H = camera.width - 1, camera.height - 1
+    q = np.array([[0, 0], [W, 0], [0, H], [W, H], [W / 2, H / 2]], float)
+    return q, camera.directions(q) * rig.depth
+
+
+def _moved_px(rig, old, T, scale):
+    """How far corners and middle of the picture move between two poses, px (largest)."""
+    q, x = _view(rig)
+    T0 = old[0]
+    return float(np.abs(_project(rig, 0, T, scale, (x - T0[:3, 3]) @ T0[:3, :3]) - q).max())
 
 
 def _paper_method(model, rig, T, scale, matches, labels, trace, iterations=400):
@@ -631,7 +636,7 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
     lens_px : how well the cameras' own projections are known: it goes into the covariance
     certain : nats by which the photographs must prefer a pose to call the others wrong
     """
-    rig = _rig(sides)
+    rig = _rig(sides, _depth(model, Camera(sides[0].camera.K, sides[0].camera.width, sides[0].camera.height, found.poses[0].T)))
     free = found.poses[0].covariance.shape == (7, 7)
     edges = model_edges(model)
     pyramids = [_pyramid(side.photograph, 16) for side in sides]
@@ -639,7 +644,7 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
     order = sorted(range(len(results)), key=lambda k: -results[k].evidence)
     best = results[order[0]]
     others = [results[k] for k in order[1:] if results[k].evidence > best.evidence - certain]
-    others = [r for i, r in enumerate(others) if not any(_near(r.cameras[0], s.cameras[0]) for s in (best, *others[:i]))]
+    others = [r for i, r in enumerate(others) if not any(_near(r.cameras[0], s.cameras[0], rig.depth) for s in (best, *others[:i]))]
     status = "ambiguous" if others else "unique"
     if found.status == "unproved" and (others or best.evidence < PROOF or best.support < 0.5):
         status = "not recognised"
@@ -650,15 +655,22 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
 PROOF = 50.0           # nats of the photographs alone; wrong poses reach 20
 
 
-def _near(a, b):
-    """Did two starts end at the same pose? Their pictures of the middle of the view, as far away as the centres can tell."""
+def _near(a, b, depth):
+    """Did two starts end at the same pose?"""
     turn = np.linalg.norm(a.T_cam_world[:3, :3] - b.T_cam_world[:3, :3])
-    return turn < 0.02 and np.linalg.norm(a.centre - b.centre) < 0.05
+    return turn < 0.02 and np.linalg.norm(a.centre - b.centre) < 0.02 * depth
 
 
-def _rig(sides):
+def _rig(sides, depth):
     inverse = np.linalg.inv(sides[0].camera.T_cam_world)
-    return _Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides))
+    return _Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides), depth)
+
+
+def _depth(model, camera):
+    """m: the median depth of what the camera would see."""
+    small = Camera(np.diag([0.125, 0.125, 1]) @ camera.K, max(camera.width // 8, 1), max(camera.height // 8, 1), camera.T_cam_world)
+    depth = _draw(model, small).depth
+    return float(np.median(depth[depth > 0])) if (depth > 0).any() else float(np.ptp(model.vertices, axis=0).max())
 
 
 def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px):
@@ -681,19 +693,38 @@ def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px
         if (support > 0.7 and evidence > PROOF) or factor not in pyramids[0] or 4 * factor > wanted:
             break
     _, T, scale, trace = max(tried, key=lambda t: t[0])
-    T, scale, fit = _edges_method(model, edges, rig, pyramids, T, scale, free, [(1, 3.0), (1, 2.0)], trace)
+    final = [(1, 3.0), (1, 2.0)]
+    if free:
+        T, scale, _ = _edges_method(model, edges, rig, pyramids, T, scale, free, final[:1], trace)
+        rig, T, scale, fit, held = _each_alone(model, edges, rig, pyramids, T, scale, final, trace)
+    else:
+        T, scale, fit = _edges_method(model, edges, rig, pyramids, T, scale, free, final, trace)
+        held = rig
     support, chance, evidence = _evidence(model, edges, rig, pyramids, T, scale)
-    covariance = pose.covariance[:6, :6] if fit is None else (_covariance(fit) + _lens_covariance(fit, rig, T, scale, lens_px))[:6, :6]
+    covariance = pose.covariance[:6, :6] if fit is None else (_covariance(fit) + _lens_covariance(fit, held, T, scale, lens_px))[:6, :6]
     return Refined(rig.cameras(T, scale), covariance, scale, _rms(fit.parts) if fit else None, support, chance, evidence, trace)
 
 
+def _each_alone(model, edges, rig, pyramids, T, scale, schedule, trace):
+    """Where the relative pose was estimated from the photographs, up to scale, the model knows it better: each camera goes to its own edges.
+
+    Returns the rig as it was found, the left pose, the scale (m per baseline), the left camera's fit and the rig of that fit.
+    """
+    poses, fits, rigs = [], [], []
+    for side, camera in enumerate(rig.cameras(T, scale)):
+        alone = _Rig((rig.sides[side],), (np.eye(4),), rig.depth)
+        pose, _, fit = _edges_method(model, edges, alone, pyramids[side:side + 1], camera.T_cam_world, 1.0, False, schedule, trace if side == 0 else trace[:1])
+        poses.append(pose), fits.append(fit), rigs.append(alone)
+    relative = [pose @ np.linalg.inv(poses[0]) for pose in poses]
+    if len(poses) > 1:
+        scale = float(np.linalg.norm(relative[1][:3, 3]))
+        relative[1][:3, 3] /= scale
+    return _Rig(rig.sides, tuple(relative), rig.depth), poses[0], scale, fits[0], rigs[0]
+
+
 def _start_px(rig, pose):
-    """3 sigma of where the pose puts points of the picture at the scene's depth, px."""
-    camera = rig.sides[0].camera
-    depth = 3.0
-    q = np.array([[0.0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]])
-    x = camera.directions(q) * depth
-    p = (x - pose.T[:3, 3]) @ pose.T[:3, :3]
-    _, J = _project(rig, 0, pose.T, pose.scale, p, True)
+    """3 sigma of where the pose puts corners and middle of the picture, px."""
+    _, x = _view(rig)
+    _, J = _project(rig, 0, pose.T, pose.scale, (x - pose.T[:3, 3]) @ pose.T[:3, :3], True)
     C = J @ pose.covariance[:6, :6] @ J.transpose(0, 2, 1)
     return 3 * float(np.sqrt(np.median(np.trace(C, axis1=1, axis2=2))))

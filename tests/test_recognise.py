@@ -164,7 +164,7 @@ def start(T, random, degrees, metres):
 def test_derivatives_of_the_projection(tmp_path):
     _, _, model, camera = trials.room_trial(0, tmp_path, 1)
     D, pair = rig_of(camera)
-    rig = refinement._rig([refinement.Side(c, None) for c in pair])
+    rig = refinement._rig([refinement.Side(c, None) for c in pair], 3.0)
     p = camera.T_cam_world[:3, :3].T @ (np.array([[0.3, 0.2, 2.5], [-0.5, 0.4, 4]]) - camera.T_cam_world[:3, 3]).T
     for side in (0, 1):
         _, J = refinement._project(rig, side, camera.T_cam_world, 1.3, p.T, True, True)
