@@ -563,14 +563,18 @@ LEAST_POINTS = 12                 # of the border or of the texture
 MOST_TILT = 0.2                   # rad: the normal must be known better than this, and the distance better than this part of it
 
 
-def reconstruct(pair, labels, values, left, right, *, iterations=30, progress=None):
-    """Facets and Refused of the pairs (left[k], right[k]). labels, values : of the left and the right photograph."""
+def reconstruct(pair, labels, values, left, right, *, iterations=30, intensities=True, progress=None):
+    """Facets and Refused of the pairs (left[k], right[k]), and how far sides of outlines were found to be off (px).
+
+    labels, values : of the left and the right photograph
+    iterations : of the contours, at most; intensities : also measure the texture inside (both for the curves of error against time)
+    """
     regions = [matching.regions(pair, *x) for x in zip(labels, values, ("left", "right"))]
     sigma = [noise(v, x) for v, x in zip(values, labels)]
     edges = [borders(pair, x, v, wanted, side, s) for x, v, wanted, side, s in zip(labels, values, (left, right), ("left", "right"), sigma)]
     uv = [pair.rectified(c.pixels(), side) for c, side in ((pair.left, "left"), (pair.right, "right"))]
     split = [tuple(np.ascontiguousarray(x[..., k]) for k in (0, 1)) for x in uv]
-    levels = _levels(pair, values, sigma[0])
+    levels = _levels(pair, values, sigma[0]) if intensities else []
     measured = []
     for done, (l, r) in enumerate(zip(left, right), 1):
         measured.append(_measure(pair, labels, regions, edges, levels, split, int(l), int(r), iterations))
