@@ -526,10 +526,10 @@ _BUREAU = {
 }
 
 
-def bureau(name, random, *, leave_out=(), **moved) -> list:
+def bureau(name, random, *, leave_out=(), **fixed) -> list:
     """One room of the kind of `office`, about 5 x 4 x 2.8 m, its corner at the origin and its furniture at the walls y = max and x = max.
 
-    Every piece has its own size and place, drawn by `random`; `moved` fixes some: {piece: (place, size)}, each as the piece's line below has it.
+    Every piece has its own size and place, drawn by `random`; `fixed` overrides some: {piece: (place, size)}, each as the piece's line below has it.
     Pieces stand on the floor, on each other or at a wall; all but the shell and the lamp are closed boxes."""
     near = lambda *middle_spread: tuple(m + s * random.uniform(-1, 1) for m, s in middle_spread)
     x, y, z = near((5.0, .35), (4.0, .3), (2.8, .1))
@@ -545,7 +545,7 @@ def bureau(name, random, *, leave_out=(), **moved) -> list:
         "rug": (near((x - 2.30, .08), (y - 1.85, .08), (0, .12)), near((1.10, .12), (.75, .08))),         # x, y, turn; lengths
         "shelf": (near((x - 2.9, .3), (.9, .2)), near((1.2, .2), (.30, .05), (.9, .2))),                   # at y = 0: x, unused; lengths
         "curtain": (near((1.4, .2)), near((1.1, .1), (1.9, .1))),                                         # at x = 0: y of its middle; width, height
-    } | moved
+    } | fixed
     p = room(x, y, z)
     for piece, (at, size) in place.items():
         if piece in leave_out:
@@ -661,7 +661,7 @@ def office_stereo(seed=0) -> Recipe:
               Lens((458.9, 459.4, 316.2, 242.8), (-.171, .049, -.0004, .0006, .007, .018, -.004, .003)))
     tint, gamma, noise, level = (1.0, .95, .86), 2.1, .007, .25
     rooms, seen, building = ("east", "middle", "west"), "middle", upright(.35, (12.4, -3.1, .6))
-    eye, target = (.45, .66, 1.60), (3.75, 2.72, .93)
+    eye, target, other = (.45, .66, 1.60), (3.75, 2.72, .93), {}
     right = look((.385, .012, .018), (.015, -.02, 3.05), (.007, -1, 0))
     if seed:
         for group, rho in materials.items():
@@ -672,11 +672,12 @@ def office_stereo(seed=0) -> Recipe:
                   Lens((491.7, 491.1, 323.9, 235.2), (-.128, .031, .0005, .0007, .001, .014, .002, -.001)))
         tint, gamma, noise, level = (1.0, .91, .78), 1.9, .006, .23
         rooms, seen, building = ("c", "b", "a"), "a", upright(-1.1, (-7.2, 21.5, 3.4))
-        eye, target = (.42, .58, 1.66), (3.9, 2.62, .93)
+        eye, target, other = (.42, .58, 1.66), (3.75, 2.75, .93), {"blackboard": ((2.8, 1.45), (1.25, .90)), "rug": ((2.9, 2.3, -.25), (.85, 1.15))}
         right = look((.30, -.009, .004), (-.02, .01, 2.9), (-.005, -1, 0))
     elif seed == 2:
         materials = {g: (round(float(np.mean(rho)), 3),) * 3 for g, rho in materials.items()}
-        lenses = (Lens((470.0, 470.0, 321.0, 238.5)), Lens((474.0, 474.0, 318.5, 241.0)))
+        materials |= {"carton": (.58,) * 3, "desk": (.20,) * 3, "shutter": (.15,) * 3}          # grey as the floor otherwise
+        lenses = (Lens((438.0, 438.0, 321.0, 238.5)), Lens((441.0, 441.0, 318.5, 241.0)))
         tint, gamma, noise, level = (1.0, 1.0, 1.0), 2.2, .005, .24
         rooms, seen, building = ("left", "centre", "right"), "left", upright(2.2, (3.0, 8.0, 0))
         right = look((.45, 0, .03), (.02, .015, 3.1), (.003, -1, 0))
@@ -684,17 +685,13 @@ def office_stereo(seed=0) -> Recipe:
     p, x0 = [], 0.0
     for name in rooms:                            # the seen one is furnished in full, the others lack this and that
         left_out = {rooms[0]: ("carton", "stool"), rooms[1]: ("rug", "monitor"), rooms[2]: ("poster", "carton")}[name]
-        out = bureau(name, random, leave_out=("shelf", "curtain") if name == seen else left_out)
+        out = bureau(name, random, leave_out=("shelf", "curtain"), **other) if name == seen else bureau(name, random, leave_out=left_out)
         width = max(q.points[:, 0].max() for q in out)
-        if seed == 1:
-            T_room = building @ upright(0, (-x0, 0, 0))
-        else:
-            T_room = building @ upright(0, (x0, 0, 0))
+        T_room = building @ upright(0, (-x0 if seed == 1 else x0, 0, 0))
         p += moved(out, T_room, mirror=seed == 1)
         if name == seen:
-            mirrored = np.array([-1 if seed == 1 else 1, 1, 1])
-            at = lambda q: T_room[:3, :3] @ (mirrored * q) + T_room[:3, 3]
-            T_left = look(at(np.array(eye)), at(np.array(target)))
+            at = lambda q: T_room[:3, :3] @ (np.array([-1 if seed == 1 else 1, 1, 1]) * q) + T_room[:3, 3]
+            T_left = look(at(eye), at(target))
         x0 += width + .2                          # walls of 0.2 m
     E = exposed([q for q in p if q.object.startswith(seen + "-")], materials, {"lamp": tint}, level)
     lens, size = lenses[0], (640, 480)
