@@ -26,6 +26,7 @@ LEAST = 6                    # shots that allow two halves of three
 COLUMNS = 16                 # of the grid on which uncertainty and differences are given
 CENTRE = 0.8                 # of the picture's width and height: what the verdict is about
 TILT = 15.0                  # degrees between two boards' normals, from which on they tell the focal length
+ALIKE = 0.5                  # correlation of neighbouring corners' residuals from which on they are no noise
 GOOD, FAIR = 0.5, 2.0        # px: limits of the verdict's first word
 SIDES = ("left", "right")
 
@@ -197,6 +198,7 @@ def _summary(solution, raw, distance_of):
                             "centre_px": _worst(sigma[centre]), "corners_px": corner},
             "cross_validation": None if difference is None else {
                 "difference_px": _listed(difference), "centre_rms_px": _rms(difference[centre]), "centre_px": _worst(difference[centre]), "worst_px": _worst(difference)},
+            "residual_correlation": _correlation([view["residuals_px"] for view in camera["views"]], [view["outliers"] for view in camera["views"]]),
             "coverage": _coverage(solution.boards.q[side], width, height),
             "tilt_deg": _tilt([view["normal"] for view in camera["views"] if view["corners"]])}
     pair = raw["pair"]
@@ -229,6 +231,25 @@ def _rms(values):
     return float(np.sqrt(np.mean(values ** 2))) if np.isfinite(values).all() else None
 
 
+def _correlation(residuals, outliers):
+    """Of the residuals of neighbouring corners. Noise has none; a lens model that cannot follow the lens, a bent board, have much.
+
+    >>> noise, wave = np.random.default_rng(0).normal(size=(2, 6, 9, 2)), np.ones((1, 6, 9, 2))
+    >>> abs(_correlation(noise.tolist(), [[], []])) < 0.2, _correlation(wave.tolist(), [[]])
+    (True, 1.0)
+    """
+    products, squares = 0.0, 0.0
+    for view, out in zip(residuals, outliers):
+        e = np.array([[[np.nan if v is None else v for v in corner] for corner in row] for row in view], float)
+        for y, x in out:
+            e[y, x] = np.nan
+        for a, b in ((e[:, :-1], e[:, 1:]), (e[:-1], e[1:])):
+            both = np.isfinite(a).all(-1) & np.isfinite(b).all(-1)
+            products += float((a[both] * b[both]).sum())
+            squares += float((a[both] ** 2 + b[both] ** 2).sum()) / 2
+    return products / squares if squares else 0.0
+
+
 def _coverage(q, width, height):
     """Which fifth-sized corners of the picture no board reaches, and the share of an 8 x 6 grid of cells that hold a corner."""
     q = q[np.isfinite(q[..., 0])]
@@ -247,12 +268,16 @@ def _tilt(normals):
 def verdict(answer):
     """(px or None, one line, [reasons]). `good to x px`: in the middle 80 % of both pictures, at the scene's distance, one
     sigma: the projection uncertainty, or half the difference of the two halves where that is more (each half has
-    half the boards, so 2 sigma between them are expected)."""
+    half the boards, so 2 sigma between them are expected), or the part of the residuals that neighbouring corners share."""
     reasons, worst = [], []
     for name, camera in answer["cameras"].items():
         sigma, cross = camera["uncertainty"]["centre_px"], camera["cross_validation"]
         half = cross["centre_rms_px"] / 2 if cross and cross["centre_rms_px"] is not None else None
-        worst.append(None if sigma is None or (cross and half is None) else max(sigma, half or 0))
+        alike = camera["residual_correlation"]
+        bias = camera["rms"] * np.sqrt(alike) if alike > ALIKE else 0.0
+        worst.append(None if sigma is None or (cross and half is None) else float(max(sigma, half or 0, bias)))
+        if bias:
+            reasons.append(f"{name}: what is left, {_two(camera['rms'])} px, is no noise: neighbouring corners err alike (correlation {alike:.1f}): another lens model, or a bent board")
         if camera["boards"] < LEAST:
             reasons.append(f"too few boards: {name} sees {camera['boards']}, ten or more are wanted")
         if camera["tilt_deg"] < TILT:
@@ -329,10 +354,11 @@ class Calibration:
 
 def from_boards(folder, board, lens, photographs, report, scratch):
     """Calibration by the boards in folder; photographs : (left path, right path) that tell the scene's distance, or None."""
-    from lib import boards as files, image
+    from lib import boards as files, lenses
     from lib.stage import Bar
 
     require_mrcal()
+    lenses.check_name(lens, "lens")
     if board is None:
         raise BadInput(f"{folder}: board: its corners and squares are not known (scene.yaml: board)")
     corners, square_m = tuple(board["corners"]), float(board["square_m"])
@@ -399,24 +425,17 @@ def _sizes(folder, photographs):
 
 def scene_distance(models, photographs):
     """Median distance of what both photographs show (m, from the left camera), by matched SIFT features; None where they are too few."""
-    import cv2
-    from lib import boards as files, lenses
+    from lib import boards as files, lenses, orientation
 
     lens = [lenses.read(model) for model in models]
-    found = []
-    for path, view in zip(photographs, lens):
-        grey = files.grey8(path)
+    greys = [files.grey8(path) for path in photographs]
+    for path, grey, view in zip(photographs, greys, lens):
         if grey.shape != (view.height, view.width):
             raise BadInput(f"{path}: size: {grey.shape[1]} x {grey.shape[0]} is not the boards' {view.width} x {view.height}")
-        keys, descriptors = cv2.SIFT_create(3000).detectAndCompute(grey, None)
-        if descriptors is None or len(keys) < 2:
-            return None
-        found.append((np.array([key.pt for key in keys]), descriptors))
-    pairs = cv2.BFMatcher().knnMatch(found[0][1], found[1][1], k=2)
-    pairs = [best for best, second in (pair for pair in pairs if len(pair) == 2) if best.distance < 0.7 * second.distance]
-    if len(pairs) < 10:
+    q_left, q_right = orientation.match(*greys)
+    if len(q_left) < 10:
         return None
-    v_left, v_right = (view.unproject(q[[getattr(m, i) for m in pairs]]) for view, (q, _), i in zip(lens, found, ("queryIdx", "trainIdx")))
+    v_left, v_right = lens[0].unproject(q_left), lens[1].unproject(q_right)
     T = lens[1].T_cam_ref @ np.linalg.inv(lens[0].T_cam_ref)
     v_left, v_right = v_left / np.linalg.norm(v_left, axis=1, keepdims=True), v_right @ T[:3, :3]
     v_right /= np.linalg.norm(v_right, axis=1, keepdims=True)

@@ -135,6 +135,12 @@ def _undistort(y, k, steps=12):
     return np.where((lost | ~(error < 1e-9))[..., None], np.nan, x)
 
 
+def check_name(model, where):
+    """BadInput: not a lens model of mrcal."""
+    if model not in COUNTS and not model.startswith(("LENSMODEL_SPLINED_STEREOGRAPHIC_", "LENSMODEL_CAHVORE_")):
+        raise BadInput(f"{where}: {model} is unknown; known are {', '.join(COUNTS)} and LENSMODEL_SPLINED_STEREOGRAPHIC_...")
+
+
 def read(path) -> Lens:
     """Any .cameramodel of mrcal. BadInput: not one, or numbers that are none or too few."""
     try:
@@ -148,8 +154,7 @@ def read(path) -> Lens:
     model = content.get("lensmodel")
     if not isinstance(model, str) or not model.startswith("LENSMODEL_"):
         raise BadInput(f"{path}: lensmodel: {model!r} is not a name LENSMODEL_...")
-    if model not in COUNTS and not model.startswith(("LENSMODEL_SPLINED_STEREOGRAPHIC_", "LENSMODEL_CAHVORE_")):
-        raise BadInput(f"{path}: lensmodel: {model} is unknown; known are {', '.join(COUNTS)} and splined ones")
+    check_name(model, f"{path}: lensmodel")
     intrinsics = cameras._numbers(path, content, "intrinsics", COUNTS.get(model))
     size = cameras._numbers(path, content, "imagersize", 2)
     rt = cameras._numbers(path, content, "extrinsics" if "extrinsics" in content else "rt_cam_ref", 6)

@@ -168,6 +168,26 @@ def test_real_fisheye(root, tmp_path):
     assert "both cameras stand at one place" in answer["verdict"]
 
 
+@needs_mrcal
+def test_rendered_boards(root, run, tmp_path):
+    """office-stereo, photographs of boards by another renderer: lenses and pose against truth, at their own sigma, in 0.1 px."""
+    scene = root / "data/office-stereo"
+    board = next(line for line in (scene / "scene.yaml").read_text().splitlines() if line.startswith("board"))
+    import yaml
+    result = run(*calibrate(scene / "boards", tmp_path, yaml.safe_load(board)["board"], "--photograph", scene / "left.png", "--photograph-right", scene / "right.png"))
+    assert result.returncode == 0, result.stderr
+    answer = json.loads((tmp_path / "calibration.json").read_text())
+    truth = [lenses.read(scene / f"truth/{side}.cameramodel") for side in boards.SIDES]
+    found = [lenses.read(tmp_path / f"{side}.cameramodel") for side in boards.SIDES]
+    assert answer["distance_of"] == "scene" and 2 < answer["distance_m"] < 6 and answer["good_to_px"] < 0.1
+    for true, ours, camera in zip(truth, found, answer["cameras"].values()):
+        assert 0.005 < camera["rms"] < 0.06
+        q = np.stack(np.meshgrid(np.linspace(64, 575, 9), np.linspace(48, 431, 7)), -1).reshape(-1, 2)
+        assert 1e-4 < np.sqrt((_after_best_motion(true, ours, q, answer["distance_m"]) ** 2).sum(-1).mean()) < 0.06
+    rt = [cameras.rt_from_matrix(right.T_cam_ref @ np.linalg.inv(left.T_cam_ref)) for left, right in (truth, found)]
+    assert degrees_between(*rt) < 0.02 and abs(np.linalg.norm(rt[0][3:]) - np.linalg.norm(rt[1][3:])) < 0.0002
+
+
 # ---- calibration: simulated corners, and the edges ----
 
 @needs_mrcal
@@ -212,6 +232,16 @@ def test_parallel_boards_leave_the_focal_length_open(tmp_path):
     assert answer["cameras"]["left"]["rms"] < 0.2
     assert answer["good_to_px"] is None or answer["good_to_px"] > calibration.FAIR
     assert answer["verdict"].startswith(("poor", "unknown")) and "too few tilted boards" in answer["verdict"]
+
+
+@needs_mrcal
+def test_a_lens_model_that_cannot_follow_the_lens(tmp_path):
+    """A pinhole fitted to a barrel: half the boards agree with the other half, and both are wrong. Neighbouring residuals are alike: said."""
+    random = np.random.default_rng(6)
+    answer = solved(chessboards.seen(chessboards.poses(16, random), chessboards.lens("left"), chessboards.lens("right"), random), tmp_path, lens="LENSMODEL_PINHOLE")
+    assert "no noise" in answer["verdict"] and "another lens model" in answer["verdict"] and answer["good_to_px"] > 0.5
+    with pytest.raises(BadInput, match="LENSMODEL_FROG is unknown"):
+        lenses.check_name("LENSMODEL_FROG", "lens")
 
 
 @needs_mrcal
