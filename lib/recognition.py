@@ -150,54 +150,50 @@ class Database:
     axes: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    corners: list                  # (k, 3) m of each facet's boundary
+    rim: np.ndarray                # (R,) vertices on the rims of facets
+    rim_facet: np.ndarray          # (R,) of which, ascending
     caster: object
     local: object
     twosided: np.ndarray           # (F,) bool: its back can be seen
 
+    def corners(self, facet):
+        """(k, 3) m: of the facet's outline."""
+        first, last = np.searchsorted(self.rim_facet, [facet, facet + 1])
+        return self.model.vertices[np.unique(self.rim[first:last])] - self.centre
+
 
 def database(model) -> Database:
-    from lib import index_buffer, rays
+    from lib import rays
 
     used = model.vertices[np.unique(model.triangles)]
     centre, size = (used.min(axis=0) + used.max(axis=0)) / 2, np.ptp(used, axis=0)
     p = model.vertices - centre
-    edges = index_buffer.facet_edges(model)
-    of_vertex_pair = {}
-    for facet, t in zip(model.triangle_facet, model.triangles):
-        for a, b in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0])):
-            of_vertex_pair.setdefault((facet, a, b), None)
-    # boundary edges of each facet: those of facet_edges that one of its triangles has
-    longest = np.zeros((model.n_facets, 3))
-    length = np.zeros(model.n_facets)
-    boundary = [[] for _ in range(model.n_facets)]
-    owner = {}
-    for facet, a, b in of_vertex_pair:
-        owner.setdefault((a, b), []).append(facet)
-    for a, b in edges:
-        for facet in owner.get((a, b), ()):
-            boundary[facet] += [a, b]
-            v = p[b] - p[a]
-            s = np.linalg.norm(v)
-            if s > length[facet]:
-                length[facet], longest[facet] = s, v / s
-    axes, low, high, corners = np.zeros((model.n_facets, 3, 3)), np.zeros((model.n_facets, 3)), np.zeros((model.n_facets, 3)), []
-    order = np.argsort(model.triangle_facet, kind="stable")
-    parts = np.split(model.triangles[order], np.flatnonzero(np.diff(model.triangle_facet[order])) + 1)
-    for f, part in enumerate(parts):
-        q = p[np.unique(part)]
-        n = model.facet_normal[f]
-        u = longest[f] - n * (longest[f] @ n)
-        if np.linalg.norm(u) < 0.5:
-            u = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
-        u /= np.linalg.norm(u)
-        axes[f] = n, u, np.cross(n, u)
-        along = q @ axes[f].T
-        low[f], high[f] = along.min(axis=0), along.max(axis=0)
-        low[f, 0] = high[f, 0] = (low[f, 0] + high[f, 0]) / 2
-        corners.append(p[np.unique(boundary[f])] if boundary[f] else q)
+    # edges on the rim of each facet: by position, those that it has once; the longest gives the facet its axes
+    t = model.triangles
+    ends, facet = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), np.tile(model.triangle_facet, 3)
+    position = np.unique(model.vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)
+    key = np.column_stack([np.sort(position[ends], axis=1), facet])
+    order = np.lexsort(key.T)
+    same = (key[order][1:] == key[order][:-1]).all(axis=1)
+    rim = order[~(np.concatenate([[False], same]) | np.concatenate([same, [False]]))]
+    v = p[ends[:, 1]] - p[ends[:, 0]]
+    length = np.linalg.norm(v, axis=1)
+    longest = np.zeros(model.n_facets, int)
+    for chosen in (np.arange(len(ends)), rim):                                  # a facet without a rim (closed on itself) takes any edge
+        by_length = chosen[np.argsort(length[chosen], kind="stable")]
+        longest[facet[by_length]] = by_length
+    n = model.facet_normal
+    u = v[longest] - n * np.einsum("ij,ij->i", v[longest], n)[:, None]
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    axes = np.stack([n, u, np.cross(n, u)], axis=1)
+    order = np.argsort(facet, kind="stable")
+    along = np.einsum("nai,ni->na", axes[facet[order]], p[ends[order, 0]])
+    start = np.searchsorted(facet[order], np.arange(model.n_facets))
+    low, high = np.minimum.reduceat(along, start), np.maximum.reduceat(along, start)
+    low[:, 0] = high[:, 0] = (low[:, 0] + high[:, 0]) / 2
+    rim = rim[np.argsort(facet[rim], kind="stable")]
     local = rays.Local.of(model)
-    return Database(model, centre, size, axes, low, high, corners, rays.Caster(local.points(model.corners())), local,
+    return Database(model, centre, size, axes, low, high, ends[rim, 0], facet[rim], rays.Caster(local.points(model.corners())), local,
                     ~model.closed_objects[model.facet_object] | _inward(model))
 
 
@@ -290,12 +286,11 @@ def _directions(db, most=60):
     area = db.model.facet_area()
     n = np.concatenate([db.axes[:, 0], -db.axes[db.twosided, 0]])
     area = np.concatenate([area, area[db.twosided]])
-    found = []
-    for i in np.argsort(-area, kind="stable"):
-        if all(n[i] @ other < math.cos(0.005) for other in found):
-            found.append(n[i])
-            if len(found) == most:
-                break
+    order = np.argsort(-area, kind="stable")
+    n, found = n[order], []
+    while len(n) and len(found) < most:
+        found.append(n[0])
+        n = n[n @ n[0] < math.cos(0.005)]
     return np.array(found)
 
 
@@ -419,7 +414,7 @@ def kabsch(a, b, weight):
 
 # Positions: the deepest point of the boxes.
 
-def _correspondences(seen, db, R, sigma, size_ok):
+def _correspondences(seen, db, R, sigma, large, size_ok):
     """Scene facet on model facet side, at this rotation: arrays for _search.
 
     One correspondence asks, for each of three axes A of the model facet, that A.c + q P1 >= low and A.c + q P2 <= high:
@@ -429,8 +424,9 @@ def _correspondences(seen, db, R, sigma, size_ok):
     gate = np.cos(np.minimum(3.5 * np.hypot(seen.angle, sigma) + 0.01, 0.6))
     start = np.cumsum([0, *(len(outline) for outline in seen.outline)])
     made = _fill(seen.n @ R, gate, (np.concatenate(seen.outline) - seen.pivot) @ R, start, (seen.g - seen.pivot) @ R,
-                 3 * np.hypot(seen.height, sigma * lever), 3 * np.hypot(seen.slide, sigma * lever), db.axes, db.twosided, size_ok)
+                 3 * np.hypot(seen.height, sigma * lever), 3 * np.hypot(seen.slide, sigma * lever), db.axes[large], db.twosided[large], size_ok)
     i, f, A, P1, P2 = made
+    f = large[f]
     return (i, f, A, P1, P2, db.low[f], db.high[f]) if len(i) else None
 
 
@@ -788,7 +784,7 @@ def _polish(seen, db, weight, T, q, pairs, scale_free):
         if len(pairs) < 2:
             return None
     evidence = weight[pairs[:, 0]] * np.minimum(1, fraction[pairs[:, 0]] / 0.9) - np.maximum(chi2 - 3, 0) / 2
-    distance = [_corner_distance(seen.outline[i], db.corners[f], T, q) for i, f in pairs]
+    distance = [_corner_distance(seen.outline[i], db.corners(f), T, q) for i, f in pairs]
     return Pose(T, q, H, pairs, float(np.maximum(evidence, 0).sum()), float(chi2.sum()), float(np.sqrt(np.mean(np.square(distance)))), linear)
 
 
@@ -797,6 +793,8 @@ def _well_posed(db, pairs):
 
 
 def _corner_distance(outline, corners, T, q):
+    if len(corners) == 0:
+        return 0.0
     p = corners @ T[:3, :3].T + T[:3, 3]
     gap = np.linalg.norm(q * outline[:, None] - p[None], axis=2)
     return np.sqrt(np.mean(np.minimum(gap.min(axis=1), np.ptp(p, axis=0).max()) ** 2))
@@ -833,9 +831,11 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
     # the scale: the scene is at most as large as the model, and at least a fiftieth of it
     scales = extent / spread * np.exp(np.arange(0, math.log(50), SCALE_STEP)[1:] * -1) if scale_free else np.ones(1)
     eq = (math.exp(SCALE_STEP / 2) - 1 if scale_free else 0.0) * scales
+    large = np.flatnonzero(size_ok.any(axis=0))
+    size_ok = np.ascontiguousarray(size_ok[:, large])
     parts, member, start, which, total = [], [], [0], [], 0
     for number, (R, sigma, _) in enumerate(rotations):
-        made = _correspondences(seen, db, R, sigma, size_ok)
+        made = _correspondences(seen, db, R, sigma, large, size_ok)
         if made is None:
             continue
         i, f, A, P1, P2, low, high = made

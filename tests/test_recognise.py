@@ -124,6 +124,28 @@ def test_far_from_the_origin(tmp_path):
     np.testing.assert_allclose(T, near.T, atol=1e-4)
 
 
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_the_unit_of_length_does_not_matter(tmp_path, factor):
+    """A doll's house and a hangar: the same rotation, translations times the factor; linear step and refinement."""
+    random, things, model, camera = trials.room_trial(4, tmp_path)
+    facets, _ = trials.facets_seen(random, model, camera)
+    large = models.load(rooms.write(tmp_path / "large.obj", things, scale=factor))
+    other = recognition.SceneFacets(facets.m / factor, facets.covariance / factor ** 2, [factor * p for p in facets.polygons], facets.labels)
+    shot = trials.photograph(random, model, camera)
+    side = refinement.Side(Camera(camera.K, camera.width, camera.height, np.eye(4)), shot)
+    results = []
+    for f, m, k in ((facets, model, 1), (other, large, factor)):
+        found = recognition.recognise(f, m, camera)
+        refined = refinement.refine(m, [side], found).cameras[0].T_cam_world.copy()
+        T = found.poses[0].T.copy()
+        for pose in (T, refined):
+            pose[:3, 3] /= k
+        results.append((found.status, T, refined))
+    assert results[0][0] == results[1][0] == "unique"
+    np.testing.assert_allclose(results[1][1], results[0][1], atol=1e-3)
+    np.testing.assert_allclose(results[1][2], results[0][2], atol=1e-4)
+
+
 def test_unknown_scale(tmp_path):
     """Lengths in baselines: the model gives the scale, and the poses are in metres."""
     for seed in (0, 3):
