@@ -16,6 +16,8 @@ from lib import cameras
 
 CENTRE = 0.02                # of the picture's width: how far the axis may lie from the middle, one sigma
 BENT = 0.1                   # OpenCV's k1, one sigma: phones straighten their pictures, machine cameras do not
+BENDS = (0.0, -0.15, -0.3, -0.5, 0.15)      # k1 / f^2 in widths where the search begins: to strong barrels of wide lenses
+LEFT_OVER = 0.15             # of k1 in log f: one coefficient is a coarse description of a bent lens
 EXIF = 0.05                  # relative: rounding to mm, breathing with the focus, crops
 DEFAULT, WIDE = 1.2, 0.35    # COLMAP's default focal length in widths, and sigma of log f of phones to short telephotos
 USEFUL = 0.25                # a witness with a larger sigma of log f has seen nothing
@@ -71,7 +73,7 @@ def _towards(ends, v):
     return np.arctan2(cross, np.abs((along * to).sum(1)))
 
 
-def vanishing(ends, size, random, hypotheses=3000):
+def vanishing(ends, size, random, hypotheses=4000):
     """(log f, its sigma, k1, its sigma) from three directions at right angles, or None where the picture shows no such.
 
     ends : (N, 2, 2) px; size : (w, h). Hypotheses: four segments, two vanishing points, f from their right angle; scored by the
@@ -81,23 +83,25 @@ def vanishing(ends, size, random, hypotheses=3000):
     width = max(size)
     x = (ends - (np.array(size) - 1) / 2) / width                     # centred, in widths
     length = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-    homogeneous = np.concatenate([x, np.ones((len(x), 2, 1))], -1)
-    lines = np.cross(homogeneous[:, 0], homogeneous[:, 1])
-    four = random.choice(len(x), (hypotheses, 4), p=length / length.sum())
-    v1, v2 = np.cross(lines[four[:, 0]], lines[four[:, 1]]), np.cross(lines[four[:, 2]], lines[four[:, 3]])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        f2 = -(v1[:, :2] * v2[:, :2]).sum(1) / (v1[:, 2] * v2[:, 2])
-    good = np.isfinite(f2) & (f2 > 0.3 ** 2) & (f2 < 6.0 ** 2)
-    best = (0.0, None, None)
-    for a, b, f in zip(v1[good], v2[good], np.sqrt(f2[good])):
-        R = _frame(a, b, f)
-        angle = np.min([_towards(x, R[:, k] * [f, f, 1]) for k in range(3)], axis=0)
-        score = float((length * np.maximum(0, 1 - angle / TOLERANCE)).sum())
-        if score > best[0]:
-            best = (score, f, R)
+    best = (0.0, None, None, None)
+    for bend in BENDS:                                               # a bent picture's edges meet nowhere, and Newton would not find the way
+        straight = _straightened(x, [0.0, 0.0, 0.0, bend])
+        homogeneous = np.concatenate([straight, np.ones((len(x), 2, 1))], -1)
+        lines = np.cross(homogeneous[:, 0], homogeneous[:, 1])
+        four = random.choice(len(x), (hypotheses // len(BENDS), 4), p=length / length.sum())
+        v1, v2 = np.cross(lines[four[:, 0]], lines[four[:, 1]]), np.cross(lines[four[:, 2]], lines[four[:, 3]])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            f2 = -(v1[:, :2] * v2[:, :2]).sum(1) / (v1[:, 2] * v2[:, 2])
+        good = np.isfinite(f2) & (f2 > 0.3 ** 2) & (f2 < 6.0 ** 2)
+        for a, b, f in zip(v1[good], v2[good], np.sqrt(f2[good])):
+            R = _frame(a, b, f)
+            angle = np.min([_towards(straight, R[:, k] * [f, f, 1]) for k in range(3)], axis=0)
+            score = float((length * np.maximum(0, 1 - angle / TOLERANCE)).sum())
+            if score > best[0]:
+                best = (score, f, R, bend * f ** 2)
     if best[1] is None:
         return None
-    return _polish(x, length, best[1], best[2], 0.7 / width)
+    return _polish(x, length, *best[1:], 0.7 / width)
 
 
 def _frame(a, b, f):
@@ -110,7 +114,7 @@ def _frame(a, b, f):
     return np.stack([u, v, np.cross(u, v)], 1)
 
 
-def _polish(x, length, f, R, noise):
+def _polish(x, length, f, R, k1, noise):
     """Gauss-Newton with Cauchy weights on log f, axis (2), radial distortion and rotation (3); residual: distance of a segment's end to the line from
     its middle to the vanishing point, in widths. noise : the ends' own, likewise."""
     def angles(state, R):
@@ -128,7 +132,7 @@ def _polish(x, length, f, R, noise):
 
     def turned(R, w):
         return cameras.matrix_from_rt([*w, 0, 0, 0])[:3, :3] @ R
-    state = np.array([np.log(f), 0.0, 0.0, 0.0])
+    state = np.array([np.log(f), 0.0, 0.0, k1])
     for _ in range(30):
         V = angles(state, R)
         off = np.stack([_towards(_straightened(x, state), V[:, k]) for k in range(3)], 1)
@@ -157,7 +161,7 @@ def _polish(x, length, f, R, noise):
     meat = J.T @ ((weight * e)[:, None] ** 2 * J) + prior * scale ** 2
     inverse = np.linalg.inv(A)
     sigma = np.sqrt((inverse @ meat @ inverse)[0, 0])
-    return float(state[0]), float(sigma), float(state[3]), float(np.sqrt((inverse @ meat @ inverse)[3, 3]))
+    return float(state[0]), float(np.hypot(sigma, LEFT_OVER * state[3])), float(state[3]), float(np.sqrt((inverse @ meat @ inverse)[3, 3]))
 
 
 def _straightened(x, state):
