@@ -22,7 +22,7 @@ from lib import matching
 # -- borders of regions to a part of a pixel
 
 REACH = 3                         # px: a border's profile reaches so far to either side
-WEAK = 2.0                        # px: a border that the picture does not locate to half a pixel is taken from the labels, whose errors
+WEAK = 2.0                        # px: a border that the picture does not locate to 3/4 of this is taken from the labels, whose errors
                                   # of up to half a pixel are the same along a whole stretch: so little is one of its points worth
 MIXED = 0.1                       # of the contrast: pixels on a border between two colours lie so near the line between them (gamma bends it)
 
