@@ -47,6 +47,8 @@ def main(opt):
             pose = orientation.relative_pose(*pair, *q, names=" and ".join(photographs))
         if pose.planar:
             report.warning("the matches lie on one plane" + (": two poses explain them, and the other is listed in orientation.json" if pose.other is not None else ""))
+        if pose.inlier.mean() < 0.5:                                   # a pattern that repeats: the wrong pose may agree with itself
+            report.warning(f"only {pose.inlier.sum()} of {len(q[0])} matches agree with the pose: it may be another one")
         turn, direction = (float(np.degrees(np.sqrt(np.trace(block)))) for block in (pose.covariance[:3, :3], pose.covariance[3:, 3:]))
         report.error("rms", pose.rms_px, unit="px", against="the epipolar constraint")
         report.error("sigma_rotation", turn, unit="degree", against="the matches' noise")

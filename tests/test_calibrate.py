@@ -571,6 +571,16 @@ def test_focal_length_from_right_angles(root, scene):
     assert sigma > autocalibration.USEFUL or abs(log_f - true) < 3 * sigma and sigma < 0.05
 
 
+@pytest.mark.parametrize("side", boards.SIDES)
+def test_focal_length_from_a_raw_photograph(root, side):
+    """office-stereo as its distorting lens took it: f to its own sigma, and a barrel that is seen to be one."""
+    from lib import autocalibration
+    true = lenses.read(root / f"data/office-stereo/truth/{side}.cameramodel")
+    grey = boards.grey8(root / f"data/office-stereo/{side}.png")
+    log_f, sigma, k1, _ = autocalibration.vanishing(autocalibration.segments(grey), grey.shape[::-1], np.random.default_rng(0))
+    assert abs(log_f - np.log(true.intrinsics[0] / max(grey.shape))) < 3 * sigma and sigma < 0.05 and -0.3 < k1 < -0.1
+
+
 def test_bent_edges_tell_the_distortion(root):
     """The office through a barrel: the focal length is still found, and so is k1."""
     from lib import autocalibration, image
