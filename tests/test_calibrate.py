@@ -124,7 +124,7 @@ def calibrate(folder, out, board, *more):
 
 @needs_mrcal
 def test_thirteen_real_pairs(root, run, tmp_path):
-    """Focal length within 1 % of the published 535.9 px, left residuals at most 0.25 px, baseline 83.2 mm within 1 %; within 10 s."""
+    """Focal length within 1 % of the published 535.9 px, left residuals at most 0.25 px, baseline 83.2 mm within 1 %; about 3 s on two idle cores."""
     result = run(*calibrate(root / "data/opencv-stereo13/boards", tmp_path, {"corners": [9, 6], "square_m": 0.025}))
     assert result.returncode == 0, result.stderr
     answer = json.loads((tmp_path / "calibration.json").read_text())
@@ -137,7 +137,7 @@ def test_thirteen_real_pairs(root, run, tmp_path):
         assert 0.02 < camera["uncertainty"]["centre_px"] < 0.6 and 0.01 < camera["cross_validation"]["centre_rms_px"] < 1
         assert np.shape(camera["uncertainty"]["sigma_px"]) == (len(camera["uncertainty"]["rows_px"]), len(camera["uncertainty"]["columns_px"]))
     assert answer["verdict"].startswith("good to 0.") and "top left" in answer["verdict"] and answer["unit"] == "m"
-    assert report["wall_s"] < 20 and {"uncertainty_left", "cross_validation_left", "baseline_sigma"} <= {e["name"] for e in report["errors"]}
+    assert report["cpu_s"] < 12 and {"uncertainty_left", "cross_validation_left", "baseline_sigma"} <= {e["name"] for e in report["errors"]}
     for side in ("left", "right"):
         text = (tmp_path / f"{side}.cameramodel").read_text()
         assert "optimization_inputs" in text and lenses.read(tmp_path / f"{side}.cameramodel").model == "LENSMODEL_OPENCV8"
