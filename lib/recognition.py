@@ -128,7 +128,7 @@ class Recognition:
              pose that they hardly hold, so that the photographs must decide; "not recognised": nothing to decide about
     why : str                     in plain words, where it is not recognised
     weight : (N,)                 evidence in nats of each scene facet
-    counts : dict                 rotations, correspondences, nodes, candidates
+    counts : dict                 rotations, correspondences, nodes, candidates; whether the search was complete; chance: nats found by chance
     """
 
     poses: tuple
@@ -813,7 +813,7 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
     """
     scale_free = scene.unit == "baseline"
     db = db or database(model)
-    counts = {"facets": len(scene), "rotations": 0, "correspondences": 0, "nodes": 0, "candidates": 0}
+    counts = {"facets": len(scene), "rotations": 0, "correspondences": 0, "nodes": 0, "candidates": 0, "complete": True}
     nothing = lambda why: Recognition((), "not recognised", why, np.zeros(len(scene)), counts)
     if len(scene) < 3:
         return nothing(f"{len(scene)} facets cannot fix a pose: at least 3 are needed")
@@ -822,15 +822,26 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
     if rank[-1] < 0.05 * rank[0]:
         return nothing(f"the {len(scene)} facets face less than 3 independent directions: the pose can slide")
     weight, size_ok = _weights(seen, db, scale_free)
-    directions = _directions(db)
-    rotations = _rotations(seen, directions)
+    rotations = _rotations(seen, _directions(db))
     counts["rotations"] = len(rotations)
+    poses = []
+    for T, q, pairs in _candidates(seen, db, rotations, weight, size_ok, scale_free, certain + 2.0, counts):
+        pose = _polish(seen, db, weight, T, q, pairs, scale_free)
+        if pose is not None and not any(_same(pose, other, seen) and other.score >= pose.score for other in poses):
+            poses = [other for other in poses if not _same(pose, other, seen)] + [pose]
+    return _judge(seen, db, weight, poses, certain, scale_free, counts)
+
+
+def _candidates(seen, db, rotations, weight, size_ok, scale_free, margin, counts):
+    """The displacements (T, scale, matches (n, 2)) whose bound comes within margin of the best, best first. Fills in counts.
+
+    counts["chance"] : so many displacements could have been told apart, so much evidence is found by chance: three facets put a scene anywhere.
+    """
     extent = float(np.linalg.norm(db.size))
-    margin = certain + 2.0
     spread = max(float(np.linalg.norm(seen.g - seen.pivot, axis=1).max()), 1e-12)
     # the scale: the scene is at most as large as the model, and at least a fiftieth of it
-    scales = extent / spread * np.exp(np.arange(0, math.log(50), SCALE_STEP)[1:] * -1) if scale_free else np.ones(1)
-    eq = (math.exp(SCALE_STEP / 2) - 1 if scale_free else 0.0) * scales
+    scales = extent / spread * np.exp(-np.arange(SCALE_STEP, math.log(50), SCALE_STEP)) if scale_free else np.ones(1)
+    reach = (math.exp(SCALE_STEP / 2) - 1 if scale_free else 0.0) * scales
     large = np.flatnonzero(size_ok.any(axis=0))
     size_ok = np.ascontiguousarray(size_ok[:, large])
     parts, member, start, which, total = [], [], [0], [], 0
@@ -840,48 +851,41 @@ def recognise(scene, model, camera, db=None, *, certain=5.0) -> Recognition:
             continue
         i, f, A, P1, P2, low, high = made
         parts.append(made)
-        for q, e in zip(scales, eq):
+        for q, e in zip(scales, reach):
             fits = np.flatnonzero(((q - e) * (P2 - P1) <= high - low).all(axis=1))     # what is seen is not larger
             if len(fits):
                 member.append(fits + total)
                 start.append(start[-1] + len(fits))
                 which.append((number, q, e))
         total += len(i)
+    counts["correspondences"], counts["chance"] = start[-1], 0.0
     if not which:
-        return nothing("no facet of the model is turned and as large as the scene's are")
+        return []
     i, f, A, P1, P2, low, high = (np.concatenate(arrays) for arrays in zip(*parts))
     which = np.array(which)
-    counts["correspondences"] = start[-1]
+    thin = 3 * np.median(seen.height) * (0.3 * extent / spread if scale_free else 1.0)
+    counts["chance"] = round(float(np.log(len(which)) + np.log(np.maximum(db.size / (2 * thin), 1)).sum()), 1)
     resolution = np.maximum(0.4 * which[:, 1] * np.median(P1[:, 0] - P2[:, 0]) / 2, 1e-6 * extent)
     problem, places, scores, counts["nodes"] = _search(i, A, P1, P2, low, high, np.concatenate(member), np.array(start), which[:, 1].copy(), which[:, 2].copy(),
                                                        weight, db.size / 2 + 0.25 * extent, spread, resolution, margin, MOST_NODES)
     counts["complete"] = bool(counts["nodes"] < MOST_NODES)
-    keep = [k for k in np.argsort(-scores, kind="stable") if scores[k] >= scores.max() - margin][:150]
-    counts["candidates"] = len(keep)
-    poses = []
-    for k in keep:
-        R, place, q = rotations[int(which[problem[k], 0])][0], places[k], places[k, 3]
-        mine = member[problem[k]]
+    found = []
+    for k in [k for k in np.argsort(-scores, kind="stable") if scores[k] >= scores.max() - margin][:150]:
+        R, place, q, mine = rotations[int(which[problem[k], 0])][0], places[k], places[k, 3], member[problem[k]]
         x = np.einsum("cad,d->ca", A[mine], place[:3])
         slack = 0.4 * (P1[mine, :1] - P2[mine, :1]).clip(0) * q
         holds = ((x + q * P1[mine] - low[mine] >= -slack) & (high[mine] - x - q * P2[mine] >= -slack)).all(axis=1)
         gap = np.abs(x[:, 0] + q * (P1[mine, 0] + P2[mine, 0]) / 2 - low[mine, 0])
-        pairs = {}
+        nearest = {}
         for c in np.flatnonzero(holds):
-            if i[mine[c]] not in pairs or gap[c] < gap[pairs[i[mine[c]]]]:
-                pairs[i[mine[c]]] = c
-        if len(pairs) < 3:
-            continue
-        pairs = np.array([(s, f[mine[c]]) for s, c in sorted(pairs.items())])
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R, q * seen.pivot - R @ place[:3]
-        pose = _polish(seen, db, weight, T, q, pairs, scale_free)
-        if pose is not None and not any(_same(pose, other, seen) and other.score >= pose.score for other in poses):
-            poses = [other for other in poses if not _same(pose, other, seen)] + [pose]
-    # So many displacements could have been told apart, so much evidence is found by chance: three facets put a scene anywhere.
-    thin = 3 * np.median(seen.height) * (0.3 * extent / spread if scale_free else 1.0)
-    counts["chance"] = round(float(np.log(len(which)) + np.log(np.maximum(db.size / (2 * thin), 1)).sum()), 1)
-    return _judge(seen, db, weight, poses, certain, scale_free, counts)
+            if i[mine[c]] not in nearest or gap[c] < gap[nearest[i[mine[c]]]]:
+                nearest[i[mine[c]]] = c
+        if len(nearest) >= 3:
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = R, q * seen.pivot - R @ place[:3]
+            found.append((T, q, np.array([(s, f[mine[c]]) for s, c in sorted(nearest.items())])))
+    counts["candidates"] = len(found)
+    return found
 
 
 def _weights(seen, db, scale_free):
@@ -937,6 +941,9 @@ def _judge(seen, db, weight, poses, certain, scale_free, counts):
         linear = p.linear.copy()
         linear[:3, 3] = linear[:3, 3] - linear[:3, :3] @ db.centre
         final.append(replace(p, T=T, covariance=np.linalg.inv(p.covariance + 1e-2 * _unit(seen, p.scale, size) * np.eye(size)), linear=linear))
+    if not counts["complete"]:
+        why = f"the search gave up after {counts['nodes']} cells: other displacements may explain the facets as well"
+        return Recognition(tuple(final), "unproved", why, weight, counts)
     if loosest > 0.15:
         return Recognition(tuple(final), "unproved", planes, weight, counts)
     share = best.score / max(float(weight.sum()), 1e-12)
