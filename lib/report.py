@@ -27,7 +27,7 @@ from lib.stage import BadInput
 PACKAGES = {"numpy": "numpy", "scipy": "scipy", "numba": "numba", "cv2": "opencv-contrib-python-headless",
             "open3d": "open3d", "moderngl": "moderngl", "OpenEXR": "OpenEXR", "colour": "colour-science",
             "yaml": "PyYAML", "trimesh": "trimesh", "mapbox_earcut": "mapbox_earcut", "matplotlib": "matplotlib",
-            "mitsuba": "mitsuba"}
+            "mitsuba": "mitsuba", "pycolmap": "pycolmap"}
 
 
 def _cpu_s():
