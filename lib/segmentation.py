@@ -25,6 +25,7 @@ STEP = 2.0              # growth of ADMM's coupling per iteration: smaller is sl
 COUPLING = 0.1          # where the coupling starts
 AGREED = 1e-5           # |rows - columns|^2 / |f|^2 that ends it; the polish takes the rest
 SETTLED = 1e-4          # relative fall of E that ends the polish
+SMALLEST = 1 / 24       # side of the smallest facet worth a plane, in sides of the picture
 REACH = 3               # pixels to either side along a row from which it takes labels
 FAST = {"nnan", "ninf", "nsz", "reassoc", "contract", "arcp"}
 
@@ -101,26 +102,35 @@ def noise(picture):
 
 
 def noise_lambda(*pictures):
-    """The lambda at which pure noise of the pictures' strength stays one region, with probability 0.95.
+    """The lambda at which pure noise of the pictures' strength stays one region, with probability 0.95; and texture that fills the picture does.
 
     A pixel alone saves |Z - mean|^2 = sigma^2 chi^2_C and costs 4 lambda. Among N pixels chi^2_C stays below C + 2 sqrt(C t) + 2 t, t = ln N + 3 (Laurent and
     Massart 2000). Larger shapes are more numerous, about 2.64^p of perimeter p at a place, yet cost p lambda: above 2 sigma^2 they ask for less than pixels do.
+    The same holds for blocks of s x s pixels, their means' noise sigma_s and s^2 sigma_s^2 against 4 s lambda: white noise asks s times less there,
+    texture more. The largest blocks have the side of the smallest facet (`auto_lambda`).
     """
-    sigma = max(noise(p) for p in pictures)
-    C = max(p.shape[2] for p in pictures)
-    t = math.log(max(p.shape[0] * p.shape[1] for p in pictures)) + 3
-    return sigma ** 2 * (C + 2 * math.sqrt(C * t) + 2 * t) / 4
+    asked = [0.0]
+    for f in pictures:
+        H, W, C = f.shape
+        s = 1
+        while s == 1 or s <= SMALLEST * math.sqrt(H * W):
+            h, w = H // s, W // s
+            means = f[:h * s, :w * s].reshape(h, s, w, s, C).mean((1, 3))
+            t = math.log(h * w) + 3
+            asked.append(s * noise(means) ** 2 * (C + 2 * math.sqrt(C * t) + 2 * t) / 4)
+            s *= 2
+    return max(asked)
 
 
 def auto_lambda(*pictures):
-    """One lambda for all the pictures: the larger of what noise asks for (`noise_lambda`) and what shading does.
+    """One lambda for all the pictures: the larger of what noise and texture ask for (`noise_lambda`) and what shading does.
 
     A square facet of side l and contrast d is kept while C l^2 d^2 > 4 l lambda; a ramp of contrast D over it is cut in two once C l^2 D^2 / 16 > l lambda.
     So whatever lambda is, a facet that just stands out, by d, is whole while its shading is below 2 d: lambda only says for which d. We take the d = 0.06 that light
-    1.3 times as strong makes on mid-grey at gamma 2.2, on the smallest facet worth a plane, a 24th of the picture's side.
+    1.3 times as strong makes on mid-grey at gamma 2.2, on the SMALLEST facet.
     """
     C = max(p.shape[2] for p in pictures)
-    side = math.sqrt(max(p.shape[0] * p.shape[1] for p in pictures)) / 24
+    side = SMALLEST * math.sqrt(max(p.shape[0] * p.shape[1] for p in pictures))
     return max(noise_lambda(*pictures), C * side * 0.06 ** 2 / 4)
 
 

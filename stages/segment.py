@@ -38,7 +38,7 @@ def options():
     parser.add_argument("--regions-right")
     parser.add_argument("--report")
     parser.add_argument("--lambda", dest="weight", type=cost, default="auto", metavar="LAMBDA",
-                        help="cost of one differing neighbour pair, image in [0, 1]; auto: from the noise and the size of the photographs")
+                        help="cost of one differing neighbour pair, image in [0, 1]; auto: from the noise, texture and size of the photographs")
     return parser
 
 

@@ -243,6 +243,13 @@ def test_noise_is_seen_through_shading_and_edges():
     assert segmentation.noise(picture) == pytest.approx(0.01, rel=0.1)
 
 
+def test_texture_that_fills_the_picture_is_one_region():
+    """Blocks of 8 x 8 pixels of random grey: what white noise is to pixels."""
+    picture = np.repeat(np.repeat(noise((40, 50, 3), 0.1), 8, 0), 8, 1)
+    assert segmentation.segment(picture, segmentation.auto_lambda(picture)).max() == 1
+    assert segmentation.segment(picture, 0.0624).max() > 100          # what shading alone would ask for
+
+
 def test_auto_keeps_facets_and_leaves_shading_whole():
     """The law of auto_lambda on a square a 24th of the side: contrast 0.06 is at the limit; a ramp of 0.1 over it does not cut it."""
     n = 480
