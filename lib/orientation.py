@@ -15,6 +15,7 @@ from lib import cameras, frames
 from lib.stage import BadInput
 
 LEAST = 15                   # inliers; five determine the pose, the rest have to confirm it
+STILL = 0.6                  # share of the matches that a rotation alone may explain: some of the others agree with any pose by chance
 MAX_ERROR = 2.0              # px, of an inlier: Sampson's distance
 
 
@@ -145,9 +146,10 @@ def relative_pose(left, right, q_left, q_right, names="photographs", samples=40)
     if inlier.sum() < LEAST:
         raise BadInput(f"{names}: matches: {inlier.sum()} of {len(q_left)} agree on a relative pose, {LEAST} are needed")
     rms = float(np.sqrt((residual(rt, inlier) ** 2).mean()))
-    parallax = _without_translation(left, right, q_left[inlier], q_right[inlier])
-    if parallax < max(3 * rms, 0.5):
-        raise BadInput(f"{names}: baseline: turning the camera explains the matches to {parallax:.2f} px: without parallax no relative position and no depth")
+    shift = _without_translation(left, right, q_left[inlier], q_right[inlier])
+    parallax, still = float(np.sqrt((shift ** 2).mean())), float((shift < max(3 * rms, 0.5)).mean())
+    if still > STILL:
+        raise BadInput(f"{names}: baseline: turning the camera explains {100 * still:.0f} % of the matches, to {np.median(shift):.2f} px: without parallax no relative position and no depth")
     cell = (q_left // (max(left.width, left.height) / 8)).astype(int) @ [1000, 1]
     covariance = bootstrap(residual, rt, np.flatnonzero(inlier), cell[inlier], np.random.default_rng(0), samples)
     planar, other = _plane(left, right, q_left[inlier], q_right[inlier], rt, rms)
@@ -202,14 +204,19 @@ def _rt(rigid):
 
 
 def _without_translation(left, right, q_left, q_right):
-    """RMS px of the matches under the best rotation alone."""
+    """(N,) px: how far each match is from its place under the best rotation alone.
+
+    By reweighting (Cauchy's loss): of the matches on which a wrong pose agrees some are wrong, and squares would follow those."""
     v_left, v_right = (camera.directions(q) for camera, q in ((left, q_left), (right, q_right)))
     u, v = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in (v_left, v_right))
-    U, _, Vt = np.linalg.svd(v.T @ u)
-    R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-    p = v_left @ R.T @ right.K.T
-    error = np.linalg.norm(p[:, :2] / p[:, 2:] - q_right, axis=1)
-    return float(np.sqrt((error ** 2).mean()))
+    weight = np.ones(len(u))
+    for _ in range(30):
+        U, _, Vt = np.linalg.svd((weight[:, None] * v).T @ u)
+        R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+        p = v_left @ R.T @ right.K.T
+        error = np.linalg.norm(p[:, :2] / p[:, 2:] - q_right, axis=1)
+        weight = 1 / (1 + (error / max(np.median(error), 0.02)) ** 2)
+    return error
 
 
 def _plane(left, right, q_left, q_right, rt, rms):
