@@ -7,6 +7,7 @@
 
 reads   facets, model; photographs, their regions and their pinhole cameras in the pair's frame
         orientation      the pair has no scale: the model gives it
+        calibration      how well the cameras' projections are known
 writes  posed, posed-right   the cameras in the model's frame
         pose            rt_cam_world, its covariance (6, 6) of (omega, tau): T = exp(omega, tau) T_hat along the left camera's axes, rad and m;
                         matches, trace, ambiguous
@@ -24,17 +25,30 @@ def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("facets", "model", "photograph", "photograph-right", "regions", "regions-right", "camera", "camera-right", "posed", "posed-right", "pose"):
         parser.add_argument(f"--{name}", required=True)
-    for name in ("orientation", "report"):
+    for name in ("orientation", "calibration", "report"):
         parser.add_argument(f"--{name}")
     parser.add_argument("--method", choices=("edges", "paper"), default="edges", help="of the refinement: edges at sub-pixel by a trust region, or the paper's gradient on vertices")
-    parser.add_argument("--lens-px", type=float, default=0.1, help="how well the cameras' own projections are known, px: it goes into the covariance")
+    parser.add_argument("--lens-px", default="auto", help="how well the cameras' own projections are known, px: it goes into the covariance; auto: by the calibration, else 0.1")
     return parser
+
+
+def known_px(word, calibration):
+    """One sigma of a projected pixel: the number given, or what the calibration says of it."""
+    if word != "auto":
+        try:
+            return float(word)
+        except ValueError:
+            raise stage.BadInput(f"--lens-px: {word!r} is neither a number nor auto") from None
+    if not calibration:
+        return 0.1
+    from_focal = [c["sigma"] / c["fx"] * max(c["size"]) / 2 for c in calibration["cameras"].values() if c.get("sigma")]
+    return max([calibration.get("good_to_px") or 0.1, *from_focal])
 
 
 def main(opt):
     from lib.report import Report
 
-    inputs = [opt.facets, opt.model, opt.photograph, opt.photograph_right, opt.regions, opt.regions_right, opt.camera, opt.camera_right, opt.orientation]
+    inputs = [opt.facets, opt.model, opt.photograph, opt.photograph_right, opt.regions, opt.regions_right, opt.camera, opt.camera_right, opt.orientation, opt.calibration]
     with Report(opt.report, inputs=inputs, arguments=vars(opt)) as report:
         with report.excluded("imports"):
             import numpy as np
@@ -61,7 +75,8 @@ def main(opt):
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}")
         zero = [now - past for now, past in zip((time.process_time(), time.perf_counter()), report.clocks())]
         with report.timing("refine"):
-            result = refinement.refine(model, sides, found, scene.labels, method=opt.method, lens_px=opt.lens_px)
+            result = refinement.refine(model, sides, found, scene.labels, method=opt.method,
+                                       lens_px=known_px(opt.lens_px, artefact.read_json(opt.calibration) if opt.calibration else None))
         if result.status == "not recognised":
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that pose's edges")
         for step in result.trace:
