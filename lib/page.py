@@ -360,7 +360,8 @@ def verdict(parts):
     if transfer.get("kind") == "gamma" and _finite(transfer.get("gamma")):
         gamma = pm(transfer["gamma"], transfer.get("sigma"), 3)
         said.append(f"gamma {gamma}" if transfer.get("sigma") else f"gamma {gamma} ({_without_sigma(materials)})")
-    sentence = "; ".join(said) + "." if said else "No photometry was asked for, or none has been done yet."
+    seen = _vision().sentence(parts.vision) if parts.vision and not said else ""
+    sentence = "; ".join(said) + "." if said else seen or "No photometry was asked for, or none has been done yet."
     error = _errors(parts).get("reflectance.mean_relative")
     if _finite(error):
         sentence += f" Against the known truth, reflectances are off by {percent(error)} on average."
@@ -872,6 +873,7 @@ def _vision():
 
 def _build(parts, width):
     kind, badge, sentence = verdict(parts)
+    about = "geometry from two photographs" if parts.vision and not parts.materials else "materials and light from one photograph" if not parts.vision else "geometry, materials and light from two photographs"
     seeing = _vision().sections(parts.vision, width) if parts.vision else ""
     body = "".join([_hero(parts, width), _difference(parts, width), _materials(parts), _light(parts), _models(parts), seeing, _buffers(parts, width), _convergence(parts),
                     _times(parts), _warnings(parts), _made(parts)])
@@ -881,11 +883,11 @@ def _build(parts, width):
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'">
-<title>{esc(parts.scene)}: materials from one photograph</title>
+<title>{esc(parts.scene)}: {about}</title>
 <style>{STYLE}{_vision().STYLE if seeing else ''}</style>
 </head>
 <body>
-<header><p class="eyebrow">Materials and light from one photograph</p><h1>{esc(parts.scene)} <span class="badge {kind}">{esc(badge)}</span></h1><p class="verdict">{esc(sentence)}</p></header>
+<header><p class="eyebrow">{about[0].upper() + about[1:]}</p><h1>{esc(parts.scene)} <span class="badge {kind}">{esc(badge)}</span></h1><p class="verdict">{esc(sentence)}</p></header>
 <main>{body}</main>
 <footer>Made by anasyn. This page is one file and loads nothing from the network.</footer>
 <script>{SCRIPT}</script>

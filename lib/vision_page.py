@@ -51,6 +51,16 @@ def see(*, model=None, cameras, pose=None, **files):
     return vision
 
 
+def sentence(vision):
+    """What the vision half found, for the head of a page without photometry; empty where it found nothing."""
+    facets = len((vision.facets or {}).get("facets") or [])
+    said = [f"{len(vision.matches)} regions matched"] if vision.matches is not None else []
+    said += [f"{facets} facets reconstructed"] if vision.facets else []
+    said += [f"camera found to {number(pose_sigma(vision.pose)[1], 2)} mm (1 σ)"] if pose_sigma(vision.pose) else []
+    said += [f"lenses: {vision.calibration['verdict'].split('; ')[0]}"] if (vision.calibration or {}).get("verdict") else []
+    return ("; ".join(said)[:1].upper() + "; ".join(said)[1:] + ".") if said else ""
+
+
 def sections(vision, width):
     width = min(width, 960)
     return "".join(part for part in (_lenses(vision), _regions(vision, width), _facets(vision, width), _pose(vision, width)))
@@ -116,8 +126,9 @@ def _lenses(vision):
             rows.append(f'<tr><th scope=row>{side}</th><td data-label="lens">{esc(camera.get("lens", "").removeprefix("LENSMODEL_"))}</td>{cells}<td class="remark">{esc(views)}</td></tr>')
             maps.append(_uncertain(camera, side))
         heads = "".join(f"<th scope=col class=num>{h}</th>" for h in ("f<sub>x</sub>, px", "f<sub>y</sub>, px", "c<sub>x</sub>, px", "c<sub>y</sub>, px", "Reprojection, px"))
-        verdict = c.get("verdict") or ""
+        verdict, *reasons = (c.get("verdict") or "").split("; ")
         body += (f"<p class=verdict>{esc(verdict[:1].upper() + verdict[1:])}.</p>" if verdict else "") + (
+            f"<ul class=plainlist>{''.join(f'<li>{esc(reason[:1].upper() + reason[1:])}.</li>' for reason in reasons)}</ul>" if reasons else "") + (
             f'<div class="scroll"><table class="cards"><thead><tr><th scope=col></th><th scope=col>Lens</th>{heads}<th scope=col></th></tr></thead><tbody>{"".join(rows)}</tbody></table></div>' if rows else "")
         pair = c.get("pair") or {}
         if _finite(pair.get("baseline_m")):
@@ -257,7 +268,7 @@ STYLE = """
 .over-photo svg{position:absolute;inset:0;width:100%;height:100%;border-radius:8px}
 .over-photo path{fill:none;stroke-width:1.5px;vector-effect:non-scaling-stroke;stroke-linecap:round}
 .over-photo .casing{stroke:#000;stroke-opacity:.45;stroke-width:3px}
-figure~h3,.two+h3,.scroll+p{margin-top:26px}
+figure~h3,.two+h3,.plainlist+.scroll,.scroll+p{margin-top:26px}
 .verdict+.two,.verdict+.scroll{margin-top:18px}
 .over-photo text{fill:#fff;font-size:11px;text-anchor:middle;dominant-baseline:middle;paint-order:stroke;stroke:#000;stroke-width:2.5px;stroke-opacity:.6}
 """
