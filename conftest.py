@@ -3,6 +3,8 @@ import sys
 
 import pytest
 
+collect_ignore = ["lib/mrcal_process.py"]          # runs under mrcal's own interpreter
+
 
 @pytest.fixture(autouse=True)
 def plain_numpy():
