@@ -605,26 +605,58 @@ def _lens_covariance(fit, rig, T, scale, lens_px):
     return total
 
 
-def _evidence(model, edges, rig, pyramids, T, scale):
-    """(support, chance, nats): the share of predicted edges found within 1.5 px, the share found beside them, and what that is worth.
-
-    One witness for every 25 px of edge; right poses show at least 0.6 of their edges, beside edges only chance does.
-    """
-    hit, anywhere, number = 0, 0, 0
+def _witnesses(model, edges, rig, pyramids, T, scale):
+    """Per side (q, normal, hit, beside): the predicted visible edges every 5 px, whether an edge is found within 1.5 px, and how often 9 px beside."""
+    sides = []
     for side, camera in enumerate(rig.cameras(T, scale)):
         s = visible_samples(model, edges, camera, 1, step_px=5.0, reach=4)
+        hit = []
         for shift in (0.0, 9.0, -9.0):
             offset, strength, _ = _find(pyramids[side][1], s.q + shift * s.normal, s.normal, 1.5)
-            there = int(((strength > 0) & (np.abs(offset) < 1.5)).sum())
-            if shift:
-                anywhere += there / 2
-            else:
-                hit += there
-        number += len(s.q)
+            hit.append((strength > 0) & (np.abs(offset) < 1.5))
+        sides.append((s.q, s.normal, hit[0], (hit[1].astype(float) + hit[2]) / 2))
+    return sides
+
+
+def _nats(hits, number, chance):
+    """What so many hits are worth against chance: one witness for every 25 px of edge; right poses show at least 0.6 of their edges."""
+    return (hits * math.log(0.6 / chance) + (number - hits) * math.log(0.4 / (1 - chance))) / 5
+
+
+def _evidence(model, edges, rig, pyramids, T, scale):
+    """(support, chance, nats): the share of predicted edges found, the share found beside them, and what that is worth."""
+    sides = _witnesses(model, edges, rig, pyramids, T, scale)
+    number, hits, beside = (sum(f(s) for s in sides) for f in (lambda s: len(s[0]), lambda s: int(s[2].sum()), lambda s: float(s[3].sum())))
     if number == 0:
         return 0.0, 0.0, 0.0
-    f, f0 = hit / number, min(max(anywhere / number, 0.02), 0.5)
-    return f, f0, number / 5 * (f * math.log(0.6 / f0) + (1 - f) * math.log(0.4 / (1 - f0))) if f0 < 0.6 else 0.0
+    chance = min(max(beside / number, 0.02), 0.5)
+    return hits / number, chance, _nats(hits, number, chance)
+
+
+def _refuted(best, rival, support, chance, certain):
+    """Do the photographs tell two poses apart?  By the edges that only one of them predicts (4 px from any of the other's of its direction).
+
+    The gap must be worth `certain` nats, and what the best pose has of its own must be there as the rest of it is; only where it has next to nothing
+    of its own may the rival fall by its own parts alone. A poster that shares two edges with the photographed one makes its room no better
+    than a room without, nor than one with yet another poster.
+    best, rival : of _witnesses
+    """
+    from scipy.spatial import cKDTree
+
+    def alone(mine, others):
+        hits = number = 0
+        for (q, normal, hit, _), (q_other, normal_other, _, _) in zip(mine, others):
+            if not len(q):
+                continue
+            only = np.ones(len(q), bool)
+            if len(q_other):
+                for i, near in enumerate(cKDTree(q_other).query_ball_point(q, 4.0)):
+                    only[i] = not near or np.abs(normal_other[near] @ normal[i]).max() < 0.9
+            hits, number = hits + int(hit[only].sum()), number + int(only.sum())
+        return hits, number
+    (hits, number), (hits_rival, number_rival) = alone(best, rival), alone(rival, best)
+    for_best, for_rival = _nats(hits, number, chance), _nats(hits_rival, number_rival, chance)
+    return for_best - for_rival >= certain and (hits >= 0.75 * support * number if number >= 20 else for_rival <= -certain)
 
 
 def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, certain=8.0) -> Refined:
@@ -640,10 +672,12 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
     free = found.poses[0].covariance.shape == (7, 7)
     edges = model_edges(model)
     pyramids = [_pyramid(side.photograph, 16) for side in sides]
-    results = [_refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px) for pose in found.poses[:6]]
+    results = [_refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px) for pose in found.poses[:MOST]]
     order = sorted(range(len(results)), key=lambda k: -results[k].evidence)
     best = results[order[0]]
-    others = [results[k] for k in order[1:] if results[k].evidence > best.evidence - certain]
+    of = (lambda r: _witnesses(model, edges, _posed(rig, r), pyramids, r.cameras[0].T_cam_world, 1.0)) if len(results) > 1 else None
+    witnesses = of(best) if of else None
+    others = [results[k] for k in order[1:] if not _refuted(witnesses, of(results[k]), best.support, max(best.chance, 0.02), certain)]
     others = [r for i, r in enumerate(others) if not any(_near(r.cameras[0], s.cameras[0], rig.depth) for s in (best, *others[:i]))]
     status = "ambiguous" if others else "unique"
     if found.status == "unproved" and (others or best.evidence < PROOF or best.support < 0.5):
@@ -652,7 +686,14 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
     return replace(best, status=status, chosen=order[0], ambiguous=ambiguous)
 
 
+MOST = 12              # poses that are refined and listed
 PROOF = 50.0           # nats of the photographs alone; wrong poses reach 20
+
+
+def _posed(rig, result):
+    """The rig of a result, its lengths in metres."""
+    inverse = np.linalg.inv(result.cameras[0].T_cam_world)
+    return replace(rig, relative=tuple(camera.T_cam_world @ inverse for camera in result.cameras))
 
 
 def _near(a, b, depth):

@@ -318,3 +318,21 @@ def test_no_facets_is_bad_input_only_where_it_must(tmp_path):
     path.write_text('{"frame": "right", "unit": "m", "facets": []}')
     with pytest.raises(BadInput, match="frame"):
         recognition.read_facets(path)
+
+
+@pytest.mark.parametrize("own, found, rival, found_rival, told", [
+    (40, 36, 40, 0, True),            # its poster is there, the rival's is not
+    (40, 26, 0, 0, False),            # two of its poster's edges are there by chance; the rival shows no poster
+    (40, 10, 40, 0, False),           # neither's poster is there
+    (0, 0, 60, 0, True),              # the rival shows what is not there
+    (0, 0, 20, 0, False),             # ... but hardly enough of it
+])
+def test_twins_are_told_apart_by_what_is_there(own, found, rival, found_rival, told):
+    """Two rooms alike but for one thing: the photographs decide only where they show it."""
+    from lib.refinement import _refuted
+
+    def predicted(number, found, x):
+        common = np.column_stack([np.arange(100) * 5.0, np.zeros(100)])
+        q = np.concatenate([common, np.column_stack([np.arange(number) * 5.0, np.full(number, x)])])
+        return [(q, np.tile([0.0, 1.0], (len(q), 1)), np.arange(len(q)) < 100 + found, np.zeros(len(q)))]
+    assert _refuted(predicted(own, found, 100.0), predicted(rival, found_rival, 200.0), 0.9, 0.08, 8.0) == told
