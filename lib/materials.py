@@ -90,7 +90,7 @@ def describe(problem, result, gathered, *, scale, transfer) -> dict:
             "kind": "diffuse",
             "rho_d": _three(state.rho[g]) if identified else None, "rho_s": [0, 0, 0] if identified else None,
             "alpha": None, "tangent": None, "texture": None,
-            "assumed": _three(state.rho[g]) if not identified and reached[g] else None,
+            "assumed": _three(np.clip(state.rho[g], 0, 1)) if not identified and reached[g] else None,
             "sigma": {"rho_d": sigma},
             "pixels": int(gathered.visible[g]),
             "error": float(errors[g]) if seen[g] else None,

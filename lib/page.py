@@ -369,6 +369,10 @@ def verdict(parts):
     if _finite(misfit) and misfit > 4:
         sentence += f" It differs {misfit:.0f} times more than noise explains: a lamp, the model, the pose or the transfer function is not as given."
         badge = ("warn", "Does not fit") if badge[0] == "good" else badge
+    others = len((getattr(parts.vision, "pose", None) or {}).get("ambiguous") or [])
+    if others:
+        sentence += f" The pose is ambiguous: {others} other{'s' * (others != 1)} would explain the photographs as well, and all figures are of the first."
+        badge = ("warn", "Ambiguous")
     if weak:
         sentence += f" Not converged: {', '.join(weak)}."
     return *badge, sentence

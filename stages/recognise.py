@@ -87,7 +87,8 @@ def main(opt):
             report.warning(f"{opt.photograph}: only {100 * result.support:.0f} % of the edges that the model predicts are found: the pose is poor, or the model is not what is seen")
         report.status = result.status
         if result.status == "ambiguous":
-            report.warning(f"{opt.model}: {len(result.ambiguous)} other poses explain the facets as well: see ambiguous in {opt.pose}")
+            least = "at least " if len(found.poses) > refinement.MOST else ""
+            report.warning(f"{opt.model}: {least}{len(result.ambiguous)} other poses explain the facets as well: see ambiguous in {opt.pose}")
         pair = [cameras.rt_from_matrix(camera.T_cam_world) for camera in result.cameras]
         with artefact.writing_all(opt.posed, opt.posed_right, opt.pose) as partials:
             for partial, camera in zip(partials, result.cameras):

@@ -70,7 +70,8 @@ def test_no_match_no_facet_no_pose(office):
 
 def test_other_poses_are_said(office):
     pose = seen(office).pose
-    assert "1 other pose would explain" in built(seen(office, pose={**pose, "ambiguous": [{"rt_cam_world": pose["rt_cam_world"]}]}))
+    text = built(seen(office, pose={**pose, "ambiguous": [{"rt_cam_world": pose["rt_cam_world"]}]}))
+    assert "1 other pose would explain" in text and ">Ambiguous</span>" in text and "The pose is ambiguous" in text
 
 
 def test_lenses_in_words_and_colours(office):
