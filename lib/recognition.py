@@ -948,7 +948,8 @@ def _judge(seen, db, weight, poses, certain, scale_free, counts):
         return Recognition(tuple(final), "unproved", planes, weight, counts)
     share = best.score / max(float(weight.sum()), 1e-12)
     if best.score < counts["chance"] + 1 or share < PROVEN_SHARE:
-        why = f"the best displacement explains {len(best.matches)} of {len(weight)} facets: {best.score:.0f} nats of evidence, by chance {counts['chance']:.0f} are found"
+        small = "no more than a displacement that is wrong explains by chance" if best.score < counts["chance"] + 1 else f"{100 * share:.0f} % of what they say"
+        why = f"the best displacement explains {len(best.matches)} of {len(weight)} facets, {small}"
         return Recognition(tuple(final), "unproved", why, weight, counts)
     return Recognition(tuple(final), "ambiguous" if len(final) > 1 else "unique", "", weight, counts)
 
