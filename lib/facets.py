@@ -583,9 +583,10 @@ def reconstruct(pair, labels, values, left, right, *, iterations=30, intensities
     together = _together([x for x in measured if not isinstance(x, str)])
     measured = [x if isinstance(x, str) else x.widened(together) for x in measured]
     sigma_side = _side_sigma([x for x in measured if not isinstance(x, str)])
+    ordinary = _ordinary_rms([x for x in measured if not isinstance(x, str)])
     found, refused = [], []
     for l, r, x in zip(left, right, measured):
-        answer = x if isinstance(x, str) else _facet(pair, labels, values, regions, edges, split, int(l), int(r), x, sigma_side)
+        answer = x if isinstance(x, str) else _facet(pair, labels, values, regions, edges, split, int(l), int(r), x, _own_side_sigma(x, sigma_side, ordinary))
         (found.append(answer) if isinstance(answer, Facet) else refused.append(Refused(int(l), int(r), answer)))
     return found, refused, sigma_side
 
@@ -742,6 +743,26 @@ def _side_sigma(measured):
             A = A + 1e-9 * np.eye(3)
             cost[i, k] = square - b @ np.linalg.solve(A, b) + volume + np.linalg.slogdet(A)[1]
     return float(grid[cost.sum(axis=0).argmin()]) if len(measured) else 0.0
+
+
+MISFIT = 1.5                      # times the ordinary rms of the pair's borders: what lies farther apart is not one plane's
+
+
+def _ordinary_rms(measured):
+    """How far borders lie apart (px, rms) on facets that are what they seem: the lower quartile of the pair, for in some pairs
+    most regions are not."""
+    rms = [x.rms_px for x in measured if x.points]
+    return float(np.quantile(rms, 0.25)) if rms else 0.0
+
+
+def _own_side_sigma(x, sigma_side, ordinary):
+    """How far this facet's sides may be off as a whole, px.
+
+    A region that is not one plane, or that ends at a shadow, an isophote of shading or an occluder, has sides that move with
+    disparities of their own. The fit spends three unknowns on few sides, so what the plane leaves over is all that shows it; and it
+    errs along whole sides, not point by point: more points do not average it away. So a facet whose borders lie farther apart than
+    the pair's do, beyond what chance makes of a dozen points, carries all of that distance as an error of each side."""
+    return float(np.hypot(sigma_side, x.rms_px)) if x.points and x.rms_px > MISFIT * ordinary else sigma_side
 
 
 def _disagreement(x, A, b):

@@ -48,7 +48,8 @@ def main(opt):
         report["unit"] = unit
         if not found:
             report.status = "nothing reconstructed"
-            report.warning(f"{opt.matches}: none of its {len(left)} pairs gives a plane: {facets.reasons(refused)}")
+            why = "; ".join(f"{n} x {reason}" for reason, n in facets.reasons(refused).items())
+            report.warning(f"{opt.matches}: none of its {len(left)} pairs gives a plane: {why}" if len(left) else f"{opt.matches}: no matched regions, so no planes")
         else:
             report.error("border_rms", facets.median_rms(found), unit="px", against="right borders")
             report.error("distance_sigma", facets.median_sigma(found), unit="1", against="its own covariance")
