@@ -686,7 +686,7 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
     return replace(best, status=status, chosen=order[0], ambiguous=ambiguous)
 
 
-MOST = 12              # poses that are refined and listed
+MOST = 8               # poses that are refined and listed
 PROOF = 50.0           # nats of the photographs alone; wrong poses reach 20
 
 
