@@ -32,6 +32,9 @@ def options():
     return parser
 
 
+POOR_PX = 0.25         # rms; sharp photographs of an exact model stay at 0.06 to 0.15
+
+
 def known_px(word, calibration):
     """One sigma of a projected pixel: the number given, or what the calibration says of it."""
     if word != "auto":
@@ -82,6 +85,8 @@ def main(opt):
         for step in result.trace:
             report.trace(**{k: v for k, v in step.items() if k != "rt_cam_world"} | {"cpu_s": step["cpu_s"] - zero[0], "wall_s": step["wall_s"] - zero[1]})
         report.error("edges", result.rms_px, unit="px", against="sub-pixel edges of the photographs")
+        if result.rms_px and result.rms_px > POOR_PX:
+            report.warning(f"{opt.photograph}: the model's edges lie {result.rms_px:.2f} px rms from the photographs': lenses, relative pose or model are not exact, and the pose may be worse than its covariance says")
         report["edges_found"], report["edges_found_by_chance"] = result.support, result.chance
         if result.evidence < refinement.PROOF:
             report.warning(f"{opt.photograph}: only {100 * result.support:.0f} % of the edges that the model predicts are found: the pose is poor, or the model is not what is seen")
