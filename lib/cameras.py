@@ -109,10 +109,10 @@ def _numbers(path, content, key, count):
     return np.array(value, float)
 
 
-def read_cameramodel(path) -> Camera:
-    """The pinhole camera of a .cameramodel file (mrcal's text format).
+def parse(path, count_of):
+    """(lens, intrinsics (n,), (4, 4) reference to camera, width, height) of a .cameramodel file, checked.
 
-    Any other lens is refused: photographs are made pinhole before the analysis.
+    count_of : lens -> how many intrinsics it has, or None for any number; raises BadInput for a lens that the caller does not take
     """
     try:
         with open(path, encoding="utf-8") as file:
@@ -127,20 +127,30 @@ def read_cameramodel(path) -> Camera:
     lens = content.get("lensmodel")
     if not isinstance(lens, str):
         raise BadInput(f"{path}: lensmodel: {lens!r} is not a name")
-    if lens != "LENSMODEL_PINHOLE":
-        raise BadInput(f"{path}: lensmodel: {lens} is not a pinhole; undistort the photograph first (LENSMODEL_PINHOLE)")
-    fx, fy, cx, cy = _numbers(path, content, "intrinsics", 4)
+    intrinsics = _numbers(path, content, "intrinsics", count_of(lens))
     size = _numbers(path, content, "imagersize", 2)
     # mrcal calls this rt_fromref, later rt_cam_ref: reference to camera
     rt = _numbers(path, content, "extrinsics" if "extrinsics" in content else "rt_cam_ref", 6)
-    for name, focal in (("fx", fx), ("fy", fy)):
+    for name, focal in zip(("fx", "fy"), intrinsics):
         if focal <= 0:
             raise BadInput(f"{path}: intrinsics: {name} = {focal:g} is not positive")
-    for name, length in (("width", size[0]), ("height", size[1])):
+    for name, length in zip(("width", "height"), size):
         if length < 1 or length != int(length):
             raise BadInput(f"{path}: imagersize: {name} = {length:g} is not a whole positive number")
-    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return Camera(K, int(size[0]), int(size[1]), matrix_from_rt(rt))
+    return lens, intrinsics, matrix_from_rt(rt), int(size[0]), int(size[1])
+
+
+def read_cameramodel(path) -> Camera:
+    """The pinhole camera of a .cameramodel file (mrcal's text format).
+
+    Any other lens is refused: photographs are made pinhole before the analysis.
+    """
+    def four(lens):
+        if lens != "LENSMODEL_PINHOLE":
+            raise BadInput(f"{path}: lensmodel: {lens} is not a pinhole; undistort the photograph first (LENSMODEL_PINHOLE)")
+        return 4
+    _, (fx, fy, cx, cy), T, width, height = parse(path, four)
+    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), width, height, T)
 
 
 def write_cameramodel(path, camera):

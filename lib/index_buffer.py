@@ -472,19 +472,15 @@ def _nearest_pixel(camera, q):
     return np.clip(x, 0, camera.width - 1), np.clip(y, 0, camera.height - 1)
 
 
-def _followed_edges(model, camera, facet, depth):
-    """(owner (N,), q (N, 2) px, seen (N,) bool): every facet edge inside the picture, followed in steps of a quarter of a pixel.
+def clip_to_picture(camera, a, b, near):
+    """(begin, end), each (E,): the part of every segment from a to b that lies in the pyramid of the picture, from 0 at a to 1 at b; begin >= end: none.
 
-    A point is seen where it is not behind the furthest depth among its pixel and the neighbours.
+    a, b : (E, 3), camera frame        near : least z, the same unit
+    The pyramid is five half-spaces through the centre and the near plane, all linear in p.
     """
-    H, W = camera.height, camera.width
-    a, b = np.moveaxis(camera.points(model.vertices)[facet_edges(model)], 1, 0)
-    unit = np.abs(a).max() if len(a) else 1.0
-    # Clip to the pyramid of the picture: five half-spaces through the centre and the near plane, all linear in p.
-    K = camera.K
-    near = np.array([0, 0, 1.0, -NEAR * unit])
+    K, W, H = camera.K, camera.width, camera.height
     sides = np.array([[*(K[0] + [0, 0, 0.5]), 0], [*([0, 0, W - 0.5] - K[0]), 0],
-                      [*(K[1] + [0, 0, 0.5]), 0], [*([0, 0, H - 0.5] - K[1]), 0], near])
+                      [*(K[1] + [0, 0, 0.5]), 0], [*([0, 0, H - 0.5] - K[1]), 0], [0, 0, 1.0, -near]])
     begin, end = np.zeros(len(a)), np.ones(len(a))
     for plane in sides:
         fa, fb = a @ plane[:3] + plane[3], b @ plane[:3] + plane[3]
@@ -493,6 +489,17 @@ def _followed_edges(model, camera, facet, depth):
         begin = np.where((fa < 0) & (fb >= 0), np.maximum(begin, cut), begin)
         end = np.where((fa >= 0) & (fb < 0), np.minimum(end, cut), end)
         end = np.where((fa < 0) & (fb < 0), -1, end)
+    return begin, end
+
+
+def _followed_edges(model, camera, facet, depth):
+    """(owner (N,), q (N, 2) px, seen (N,) bool): every facet edge inside the picture, followed in steps of a quarter of a pixel.
+
+    A point is seen where it is not behind the furthest depth among its pixel and the neighbours.
+    """
+    K = camera.K
+    a, b = np.moveaxis(camera.points(model.vertices)[facet_edges(model)], 1, 0)
+    begin, end = clip_to_picture(camera, a, b, NEAR * np.abs(a).max() if len(a) else 1.0)
     inside = begin < end
     a, b, begin, end = a[inside], b[inside], begin[inside, None], end[inside, None]
     a, b = a + begin * (b - a), a + end * (b - a)

@@ -9,7 +9,6 @@
 Pinhole, stereographic and OpenCV's lenses are computed here; any other (splined, CAHVOR) is asked of mrcal, in a process of
 its own. Formulas: https://mrcal.secretsauce.net/lensmodels.html, OpenCV's calib3d (k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4).
 """
-import ast
 import math
 import tempfile
 from dataclasses import dataclass
@@ -143,28 +142,11 @@ def check_name(model, where):
 
 def read(path) -> Lens:
     """Any .cameramodel of mrcal. BadInput: not one, or numbers that are none or too few."""
-    try:
-        content = ast.literal_eval(Path(path).read_text(encoding="utf-8").strip())
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        raise BadInput(f"{path}: not a camera model: {str(error).splitlines()[0]}") from None
-    if not isinstance(content, dict):
-        raise BadInput(f"{path}: not a camera model: a {type(content).__name__} instead of a dictionary")
-    model = content.get("lensmodel")
-    if not isinstance(model, str) or not model.startswith("LENSMODEL_"):
-        raise BadInput(f"{path}: lensmodel: {model!r} is not a name LENSMODEL_...")
-    check_name(model, f"{path}: lensmodel")
-    intrinsics = cameras._numbers(path, content, "intrinsics", COUNTS.get(model))
-    size = cameras._numbers(path, content, "imagersize", 2)
-    rt = cameras._numbers(path, content, "extrinsics" if "extrinsics" in content else "rt_cam_ref", 6)
-    for name, focal in zip(("fx", "fy"), intrinsics):
-        if focal <= 0:
-            raise BadInput(f"{path}: intrinsics: {name} = {focal:g} is not positive")
-    for name, length in zip(("width", "height"), size):
-        if length < 1 or length != math.floor(length):
-            raise BadInput(f"{path}: imagersize: {name} = {length:g} is not a whole positive number")
-    return Lens(model, intrinsics, int(size[0]), int(size[1]), cameras.matrix_from_rt(rt), str(path))
+    def count(model):
+        check_name(model, f"{path}: lensmodel")
+        return COUNTS.get(model)
+    model, intrinsics, T, width, height = cameras.parse(path, count)
+    return Lens(model, intrinsics, width, height, T, str(path))
 
 
 # ---- photographs made pinhole ----

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from lib import artefact
 from lib.stage import BadInput
 
 SAME_CENTRE = 1e-9                # data/SCENE.md, section 2: cameras nearer than this have no baseline
@@ -433,39 +434,14 @@ def read_pair(left_path, right_path, photograph_paths, label_paths):
     return pair, photographs(*photograph), labels
 
 
-HEAD = "left_label,right_label,similarity"
-
-
-def write(path, matches):
-    with open(path, "w", encoding="utf-8") as file:
-        file.write(HEAD + "\n" + "".join(f"{l},{r},{s:.6f}\n" for l, r, s in zip(matches.left, matches.right, matches.similarity)))
-
-
 def read(path, labels_left, labels_right):
-    """(M,) left and right labels of matches.csv; each must be in its picture, and once only."""
-    import csv
-
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = list(csv.reader(file))
-    if not rows or ",".join(rows[0]) != HEAD:
-        raise BadInput(f"{path}: header: {','.join(rows[0]) if rows else 'nothing'!r} is not {HEAD!r}")
-    pairs = []
-    for number, row in enumerate(rows[1:], 2):
-        try:
-            l, r, s = int(row[0]), int(row[1]), float(row[2])
-        except (ValueError, IndexError):
-            raise BadInput(f"{path}: line {number}: {','.join(row)!r} is not two labels and a number") from None
-        pairs.append((l, r))
+    """(M,) left and right labels of matches.csv; each must be in its picture."""
+    pairs = np.array([match[:2] for match in artefact.read_matches(path)], int).reshape(-1, 2)
     for side, labels in enumerate((labels_left, labels_right)):
-        there, seen = set(np.unique(labels).tolist()), set()
-        for number, p in enumerate(pairs, 2):
-            if p[side] not in there or p[side] == 0:
-                raise BadInput(f"{path}: line {number}: {('left', 'right')[side]}_label: {p[side]} is not in the label image")
-            if p[side] in seen:
-                raise BadInput(f"{path}: line {number}: {('left', 'right')[side]}_label: {p[side]} stands there twice")
-            seen.add(p[side])
-    p = np.array(pairs, int).reshape(-1, 2)
-    return p[:, 0], p[:, 1]
+        missing = np.flatnonzero(~np.isin(pairs[:, side], labels) | (pairs[:, side] == 0))
+        if len(missing):
+            raise BadInput(f"{path}: line {missing[0] + 2}: {artefact.MATCHES[side]}: {pairs[missing[0], side]} is not in the label image")
+    return pairs[:, 0], pairs[:, 1]
 
 
 def share(labels, chosen):

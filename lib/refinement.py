@@ -155,18 +155,8 @@ def visible_samples(model, edges, camera, factor=1, step_px=4.0, reach=8) -> Sam
     index = _draw(model, small)
     facet = index.facet
     a, b = camera.points(edges.a), camera.points(edges.b)
-    # the part before the camera and inside the picture: five half-spaces, linear along the edge
     W, H = small.width, small.height
-    near = 1e-3 * max(np.abs(a).max(), 1e-12)
-    begin, end = np.zeros(len(a)), np.ones(len(a))
-    for plane in (np.array([*(K[0] + [0, 0, 0.5]), 0]), np.array([*([0, 0, W - 0.5] - K[0]), 0]), np.array([*(K[1] + [0, 0, 0.5]), 0]),
-                  np.array([*([0, 0, H - 0.5] - K[1]), 0]), np.array([0, 0, 1, -near])):
-        fa, fb = a @ plane[:3] + plane[3], b @ plane[:3] + plane[3]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cut = fa / (fa - fb)
-        begin = np.where((fa < 0) & (fb >= 0), np.maximum(begin, cut), begin)
-        end = np.where((fa >= 0) & (fb < 0), np.minimum(end, cut), end)
-        end = np.where((fa < 0) & (fb < 0), -1, end)
+    begin, end = index_buffer.clip_to_picture(small, a, b, 1e-3 * max(np.abs(a).max(), 1e-12))
     e = np.flatnonzero(begin < end)
     if len(e) == 0:
         return Samples(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, int), np.zeros(0))

@@ -386,18 +386,11 @@ def lens_of(path):
 
 
 def centre_of(path):
-    """The centre of a given camera in its reference frame, or None where the file cannot be read."""
+    """The centre of a given camera in its reference frame, or None where the file cannot be read (the stage that needs it says why)."""
+    from lib import lenses
     try:
-        content = ast.literal_eval(path.read_text(encoding="utf-8"))
-        x, y, z, *t = map(float, content["extrinsics"] if "extrinsics" in content else content["rt_cam_ref"])
-        angle = math.hypot(x, y, z)
-        if not math.isfinite(angle + sum(t)) or len(t) != 3:
-            return None
-        axis = [v / angle for v in (x, y, z)] if angle else [1.0, 0.0, 0.0]
-        cross = [axis[1] * t[2] - axis[2] * t[1], axis[2] * t[0] - axis[0] * t[2], axis[0] * t[1] - axis[1] * t[0]]
-        along = sum(a * v for a, v in zip(axis, t)) * (1 - math.cos(angle))
-        return [-(v * math.cos(angle) - c * math.sin(angle) + a * along) for v, c, a in zip(t, cross, axis)]      # -R^T t, by Rodrigues
-    except (OSError, ValueError, SyntaxError, KeyError, TypeError, RecursionError, MemoryError):
+        return lenses.read(path).centre.tolist()
+    except BadInput:
         return None
 
 
@@ -423,11 +416,11 @@ def inspect(scene, files):
 
     files : names as in pipeline.yaml, of which the model, photographs and cameras are opened.  Returns problems, one line each.
     """
-    from lib import image, model as models
+    from lib import image, lenses, model as models
     problems, found = [], {}
     cameras = {f"{side}.{posed}cameramodel": side for side in SIDES for posed in ("posed.", "")}
     photographs = {PHOTOGRAPH.replace("left", side): side for side in SIDES}
-    readers = {MODEL: models.load, **dict.fromkeys(photographs, image.read_photograph), **dict.fromkeys(cameras, _camera)}
+    readers = {MODEL: models.load, **dict.fromkeys(photographs, image.read_photograph), **dict.fromkeys(cameras, lenses.read)}
     for file, reader in readers.items():
         if file in files and (path := scene.given(file)):
             try:
@@ -442,15 +435,6 @@ def inspect(scene, files):
     if MODEL in found:
         problems += _groups(scene, found[MODEL].groups)
     return problems
-
-
-def _camera(path):
-    """A given camera, opened in earnest: a pinhole by lib/cameras; any other lens by lib/lenses."""
-    if lens_of(path) in (None, PINHOLE):
-        from lib import cameras
-        return cameras.read_cameramodel(path)
-    from lib import lenses
-    return lenses.read(path)
 
 
 def _groups(scene, groups):

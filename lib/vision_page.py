@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lib.comparing import read_table
 from lib.page import _bytes8, _figure, _finite, _section, _smaller, colours, css, esc, fixed, number, paint, percent, uri
 
 SIDES = ("left", "right")
@@ -34,11 +33,6 @@ class Vision:
     calibration: dict = None
     orientation: dict = None
     facet_names: list = field(default_factory=list)
-
-
-def read_matches(path):
-    rows = read_table(path, ("left_label", "right_label", "similarity"))
-    return [(int(row["left_label"]), int(row["right_label"]), float(row["similarity"])) for row in rows]
 
 
 def see(*, model=None, cameras, pose=None, **files):

@@ -54,7 +54,7 @@ def main(opt):
             report.status = "nothing matched"
             report.warning(f"{opt.regions}: none of its regions has a partner in {opt.regions_right}")
         with artefact.writing(opt.matches) as partial:
-            matching.write(partial, matches)
+            artefact.write_matches(partial, zip(matches.left, matches.right, matches.similarity))
 
 
 if __name__ == "__main__":

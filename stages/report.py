@@ -53,7 +53,7 @@ def see(opt, read, shown):
 
     files = {name: read(name, artefact.read_json) for name in ("facets", "pose", "calibration", "orientation")}
     return vision_page.see(photographs=pair("photograph", lambda path: shown(image.read_photograph(path))), regions=pair("regions", image.read_labels),
-                           cameras=pair("camera", cameras.read_cameramodel), matches=read("matches", vision_page.read_matches),
+                           cameras=pair("camera", cameras.read_cameramodel), matches=read("matches", artefact.read_matches),
                            model=read("model", model.load) if opt.pose else None, **files)
 
 

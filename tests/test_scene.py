@@ -226,7 +226,8 @@ def cameras(folder, *names, lens="LENSMODEL_PINHOLE", apart=0.1):
     """Camera files of those names; those of the right photograph stand `apart` metres to the side."""
     for name in names:
         rt = f"[ 0., 0., 0., {-apart if 'right' in name else 0.}, 0., 0. ]"
-        (folder / f"{name}.cameramodel").write_text(CAMERA.format(lens=lens).replace("[ 0., 0., 0., 0., 0., 0. ]", rt))
+        bent = ", 0." * {"LENSMODEL_OPENCV5": 5, "LENSMODEL_OPENCV8": 8}.get(lens, 0)
+        (folder / f"{name}.cameramodel").write_text(CAMERA.format(lens=lens).replace("[ 0., 0., 0., 0., 0., 0. ]", rt).replace("1.5, 1.5 ]", f"1.5, 1.5{bent} ]"))
 
 
 def chain(folder, text="lamps: {lamp: [1, 1, 1]}\ngoals: [materials.json]", *wishes):
