@@ -279,11 +279,14 @@ def _count(hit, ray_start, first, last, columns) -> Rows:
 def rays(surface: Surface, mesh: Mesh, *, n_rays, seed=0, progress=None) -> Rows:
     """F between all patches from `n_rays` rays per patch (a power of two spreads best). Error about 0.5 / n_rays^0.75
     of a row's irradiance, measured by `make bench`."""
+    return _rows(surface, mesh, *from_patches(surface, mesh, n_rays, seed), progress)
+
+
+def from_patches(surface: Surface, mesh: Mesh, n_rays, seed=0):
+    """Where each patch's rays begin, (N + 1,), and make(first, last) -> rays of the patches first..last-1, (n, 6)."""
     points, shift = sobol(n_rays), shifts(len(mesh), n_rays, seed)
-    ray_start = np.arange(len(mesh) + 1, dtype=np.int64) * n_rays
-    return _rows(surface, mesh, ray_start, lambda a, b: _patch_rays(
-        a, b, n_rays, points, shift, mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf,
-        surface.origin, surface.axes, surface.normal), progress)
+    return np.arange(len(mesh) + 1, dtype=np.int64) * n_rays, lambda a, b: _patch_rays(
+        a, b, n_rays, points, shift, mesh.side, mesh.tri_start, mesh.tri_uv, mesh.tri_cdf, surface.origin, surface.axes, surface.normal)
 
 
 def gather(surface: Surface, mesh: Mesh, points, point_start, side, n_rays, *, seed=0, progress=None) -> Rows:
@@ -292,12 +295,16 @@ def gather(surface: Surface, mesh: Mesh, points, point_start, side, n_rays, *, s
     points : (M, 3) local;  point_start : (K + 1,) the points of each set;  side : (K,) side of the facet they lie on
     n_rays : (K,) rays of each set, spread over its points
     """
+    return _rows(surface, mesh, *from_points(surface, points, point_start, side, n_rays, seed), progress)
+
+
+def from_points(surface: Surface, points, point_start, side, n_rays, seed=0):
+    """The same of sets of points: see `gather`."""
     ray_start = np.concatenate([[0], np.cumsum(n_rays)]).astype(np.int64)
     most = int(np.max(n_rays, initial=1))
     sequence, shift, other = sobol(most), shifts(len(side), most, seed), shifts(len(side), most, seed + 1)
-    return _rows(surface, mesh, ray_start, lambda a, b: _point_rays(
-        ray_start, a, b, sequence, shift, other, np.asarray(point_start, np.int64), points,
-        np.asarray(side, np.int32), surface.axes, surface.normal), progress)
+    points, point_start, side = np.asarray(points, float), np.asarray(point_start, np.int64), np.asarray(side, np.int32)
+    return ray_start, lambda a, b: _point_rays(ray_start, a, b, sequence, shift, other, point_start, points, side, surface.axes, surface.normal)
 
 
 def probe(surface: Surface, mesh: Mesh, *, n_rays, seed=0):
@@ -325,6 +332,7 @@ class Emitter:
     corners: np.ndarray      # (K, 3, 3) local
     normal: np.ndarray       # (K, 3) front
     cdf: np.ndarray          # (K,) cumulated share of the area
+    mirrors: tuple = ()      # facets of plane mirrors that show it, the one nearest to the receiver first: the rest is its mirror image
 
 
 def emitters(surface: Surface, lamps) -> list[Emitter]:
@@ -341,6 +349,33 @@ def emitters(surface: Surface, lamps) -> list[Emitter]:
             t = np.flatnonzero(np.isin(surface.facet, chosen))
             result.append(Emitter(lamp, surface.corners[t], surface.normal[surface.facet[t]], np.cumsum(area[t]) / area[t].sum()))
     return result
+
+
+def reached(surface: Surface, lamp: Emitter, rays):
+    """(n,) bool: nothing stands on the way to the points of the lamp that rays (n, 6), origin and vector, aim at.
+
+    Of a mirrored lamp the way leads through its mirrors: it must meet each of them first, and nothing after the last.
+    """
+    if not lamp.mirrors:
+        return ~surface.shadows.occluded(rays, 1 - 1e-4)
+    open_ = np.ones(len(rays), bool)
+    o, v = rays[:, :3].astype(float), rays[:, 3:].astype(float)
+    for f in lamp.mirrors:
+        i = np.flatnonzero(open_)
+        n = surface.normal[f]
+        along = v[i] @ n
+        share = np.divide((surface.origin[f] - o[i]) @ n, along, out=np.full(len(i), -1.0), where=np.abs(along) > 1e-12)
+        crosses = (share > 0) & (share < 1)
+        length = np.linalg.norm(v[i], axis=1, keepdims=True)
+        triangle, t = surface.caster.closest(np.hstack([o[i], v[i] / np.maximum(length, 1e-300)]).astype(np.float32))
+        meets = crosses & (triangle >= 0) & (surface.facet[triangle] == f)
+        open_[i[~meets]] = False
+        i, share, along = i[meets], share[meets], along[meets]
+        o[i] = o[i] + share[:, None] * v[i] - np.sign(along)[:, None] * OFFSET * n
+        v[i] = (1 - share)[:, None] * (v[i] - 2 * along[:, None] * n)
+    i = np.flatnonzero(open_)
+    open_[i] = ~surface.shadows.occluded(np.hstack([o[i], v[i]]).astype(np.float32), 1 - 1e-4)
+    return open_
 
 
 @njit(cache=True)
@@ -417,7 +452,7 @@ def _shadow_rays(p, normal_idx, normals, which, n, points, shift, corners, front
     return rays, weight
 
 
-def direct(surface: Surface, lamps, points, normals, normal_idx, n_lamps, *, n_samples, seed=0, start=None, weight=None) -> np.ndarray:
+def direct(surface: Surface, lamps, points, normals, normal_idx, n_lamps, *, n_samples, seed=0, start=None, weight=None, shadows=True) -> np.ndarray:
     """Factor from each point to each lamp, shadows included, (M, n_lamps); with `start`, the mean over each set of points.
 
     The exact unoccluded factor times the visible share, estimated from `n_samples` points of the lamp weighted
@@ -427,6 +462,7 @@ def direct(surface: Surface, lamps, points, normals, normal_idx, n_lamps, *, n_s
 
     points : (M, 3) local, on their facets;  normals : (K, 3);  normal_idx : (M,) the normal of each point
     start : (S + 1,) sets of consecutive points -> (S, n_lamps);  weight : (M,) of the points in their set
+    shadows : False: as if nothing stood in between (and mirrors showed all of a mirrored lamp)
     """
     weight = np.ones(len(points)) if weight is None else np.asarray(weight, float)
     first = np.arange(len(points)) if start is None else np.asarray(start[:-1])
@@ -437,14 +473,14 @@ def direct(surface: Surface, lamps, points, normals, normal_idx, n_lamps, *, n_s
     for number, lamp in enumerate(lamps):
         share = _factors(points, normal_idx, normals, lamp.corners, lamp.normal) * weight
         total = (np.add.reduceat(share, first) if sets else share) / mass
-        if surface.n_occluders:
+        if shadows and (surface.n_occluders or lamp.mirrors):
             lit = np.flatnonzero(share > 0)
             seen, sent = np.zeros(len(points)), np.zeros(len(points))
             for a in range(0, len(lit), max(1, CHUNK // n_samples)):
                 which = lit[a:a + max(1, CHUNK // n_samples)]
                 shift = shifts(len(which), n_samples, seed + 31 * number)
                 r, light = _shadow_rays(points, normal_idx, normals, which, n_samples, sequence, shift, lamp.corners, lamp.normal, lamp.cdf)
-                visible = ~surface.shadows.occluded(r, 1 - 1e-4)
+                visible = reached(surface, lamp, r)
                 sent[which] = light.reshape(-1, n_samples).sum(axis=1)
                 seen[which] = (light * visible).reshape(-1, n_samples).sum(axis=1)
             if start is not None:

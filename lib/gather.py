@@ -48,6 +48,16 @@ def blocks(facet, used, *, largest=20, smallest=4, tiles_per_facet=24):
             (y * facet.shape[1] + x)[order])
 
 
+def pure(photograph, facet):
+    """(H, W) bool: pixels that show one facet and mix with no other, neither black nor saturated."""
+    from lib.index_buffer import boundary
+    values = photograph.values
+    usable = (facet >= 0) & ~boundary(facet)
+    if photograph.linear:
+        return usable & (values > 0).all(axis=2)
+    return usable & (values > 2 / 255 + 1e-9).any(axis=2) & (values < 250 / 255 - 1e-9).all(axis=2)
+
+
 def backproject(surface: Surface, camera, facet, pixel):
     """Where the pixels' centres meet their facets' planes: (M, 3) local, and the side each shows, (M,) int32.
 
@@ -64,7 +74,7 @@ def backproject(surface: Surface, camera, facet, pixel):
 
 
 def build(surface: Surface, mesh: Mesh, camera, facet, used, lamps, n_lamps, *, rays_per_tile, rays_per_facet, lamp_samples,
-          largest=20, smallest=4, tiles_per_facet=24, progress=None) -> Tiles:
+          largest=20, smallest=4, tiles_per_facet=24, seed=5, progress=None) -> Tiles:
     """Tiles of the used pixels with their direct factors and form-factor rows.
 
     facet : (H, W) int, -1 = nothing;  used : (H, W) bool;  lamps : from form_factors.emitters
@@ -75,11 +85,11 @@ def build(surface: Surface, mesh: Mesh, camera, facet, used, lamps, n_lamps, *, 
     per_tile = np.diff(start)
     p, side = backproject(surface, camera, np.repeat(tile_facet, per_tile), pixel)
     first = start[:-1]
-    direct = form_factors.direct(surface, lamps, p, form_factors.side_normals(surface), side, n_lamps, n_samples=lamp_samples, start=start)
+    direct = form_factors.direct(surface, lamps, p, form_factors.side_normals(surface), side, n_lamps, n_samples=lamp_samples, start=start, seed=seed - 5)
     tiles_of = np.bincount(tile_facet, minlength=len(surface.normal))[tile_facet] if len(tile_facet) else np.zeros(0, int)
     wanted = np.maximum(rays_per_tile, rays_per_facet / np.maximum(tiles_of, 1))
     n_rays = (2 ** np.ceil(np.log2(np.minimum(wanted, 4096)))).astype(np.int64)
-    rows = form_factors.gather(surface, mesh, p, start, side[first] if len(first) else side, n_rays, seed=5, progress=progress)
+    rows = form_factors.gather(surface, mesh, p, start, side[first] if len(first) else side, n_rays, seed=seed, progress=progress)
     return Tiles(tile_facet, start, pixel, direct, rows)
 
 

@@ -49,9 +49,10 @@ class Texture:
     open: np.ndarray
     step: float
     rho: np.ndarray
+    ways: object = None             # lib.specular.Ways where rays go on at mirrors and glossy surfaces
 
 
-def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet, *, texels=TEXELS, samples=32, n_rays=64) -> Texture:
+def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet, *, texels=TEXELS, samples=32, n_rays=64, ways=None) -> Texture:
     """Reflected radiosity of every side that has patches, direct light from the lamps and not from the patches.
 
     lamps : from form_factors.emitters;  E : (L, C);  indirect : (N, C) what others send to the patches
@@ -79,12 +80,11 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet
     good &= ~_buried(surface, p, side, normals)
     at, fill = np.flatnonzero(good), _nearest(good, start[sides], count)        # texels outside the facet or inside a solid take another's value
     irradiance = np.zeros((len(p), E.shape[1]), np.float32)
-    unshadowed = replace(surface, n_occluders=0)
     whole = np.zeros((len(p), len(lamps)), np.float32)
     for k, lamp in enumerate(lamps):
         one = [replace(lamp, lamp=0)]
-        whole[at, k] = form_factors.direct(unshadowed, one, p[at], normals, side[at], 1, n_samples=1)[:, 0]
-        seen = form_factors.direct(surface, one, p[at], normals, side[at], 1, n_samples=samples, seed=71 + k) if surface.n_occluders else whole[at, k:k + 1]
+        whole[at, k] = form_factors.direct(surface, one, p[at], normals, side[at], 1, n_samples=1, shadows=False)[:, 0]
+        seen = form_factors.direct(surface, one, p[at], normals, side[at], 1, n_samples=samples, seed=71 + k) if surface.n_occluders or lamp.mirrors else whole[at, k:k + 1]
         irradiance[at] += seen * E[lamp.lamp]
     lit = np.flatnonzero(exposed > 0)
     place, places = np.hstack([p[at], FAR * side[at, None]]), np.hstack([mesh.centre[lit], FAR * mesh.side[lit, None]])
@@ -102,11 +102,11 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet
     first = irradiance * rho[f]
     if n_rays:
         # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches
-        once = Texture(start, shape, first + between[fill] * rho[f], irradiance, good, first, between, whole, float(step), rho)
+        once = Texture(start, shape, first + between[fill] * rho[f], irradiance, good, first, between, whole, float(step), rho, ways)
         ones = np.arange(len(at))
         between[at] = _sent(surface, once, lamps, E, p[at], ones, ones + 1, side[at], n_rays, 650)[0]
     between = between[fill]
-    return Texture(start, shape, first + between * rho[f], irradiance + between, good, first, between, whole, float(step), rho)
+    return Texture(start, shape, first + between * rho[f], irradiance + between, good, first, between, whole, float(step), rho, ways)
 
 
 def _patch_at(mesh, side, index, shape, cells):
@@ -265,8 +265,8 @@ def _morton(v):
     return v
 
 
-def pixels(surface: Surface, camera, facet) -> Pixels:
-    """facet : (H, W) int, -1 = nothing."""
+def pixels(surface: Surface, camera, facet, at=None) -> Pixels:
+    """facet : (H, W) int, -1 = nothing;  at : (H, W, 3) local and (H, W) side, of what mirrors show; else where the camera sees it."""
     from lib.gather import backproject
     y, x = np.nonzero(facet >= 0)
     bits = max(1, int(max(facet.shape) - 1).bit_length())
@@ -276,7 +276,7 @@ def pixels(surface: Surface, camera, facet) -> Pixels:
     number = np.full(facet.shape, -1, np.int64)
     number[y, x] = np.arange(len(x))
     f = facet[y, x].astype(np.int32)
-    p, side = backproject(surface, camera, f, y.astype(np.int64) * camera.width + x)
+    p, side = backproject(surface, camera, f, y.astype(np.int64) * camera.width + x) if at is None else (at[0][y, x], at[1][y, x])
     _pull_in(p, f, *_triangles(surface), surface.normal)
     return Pixels(x, y, f, side, p, key, bits, number)
 
@@ -320,12 +320,11 @@ def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, m
     """
     factor = np.zeros((len(pixels), n_lamps))
     normals = form_factors.side_normals(surface)
-    unshadowed = replace(surface, n_occluders=0)
     view = _view(surface, camera)
     uncertain = 0
     for number, lamp in enumerate(lamps):
-        whole = _whole(unshadowed, lamp, pixels, normals)
-        if surface.n_occluders == 0:
+        whole = _whole(surface, lamp, pixels, normals)
+        if surface.n_occluders == 0 and not lamp.mirrors:
             factor[:, lamp.lamp] += whole
             continue
         lit = np.flatnonzero(whole > 0)
@@ -340,22 +339,25 @@ def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, m
     return factor, uncertain
 
 
-def _whole(unshadowed, lamp, pixels, normals):
+def _whole(surface, lamp, pixels, normals):
     """Factor of each pixel to a lamp if nothing stood in between, (M,): exact; for a lamp of many triangles exact at the middles of
     blocks of 4 x 4 pixels and interpolated between."""
     one = [replace(lamp, lamp=0)]
     if len(lamp.corners) <= MANY or not len(pixels):
-        return form_factors.direct(unshadowed, one, pixels.p, normals, pixels.side, 1, n_samples=1)[:, 0]
+        return form_factors.direct(surface, one, pixels.p, normals, pixels.side, 1, n_samples=1, shadows=False)[:, 0]
     first, last = _blocks(pixels, np.zeros(1, np.int64), np.array([len(pixels)]), 2)
     p = np.stack([_means(pixels.p[:, d], first, last) for d in range(3)], axis=1)
-    factor = form_factors.direct(unshadowed, one, p, normals, pixels.side[first], 1, n_samples=1)
+    factor = form_factors.direct(surface, one, p, normals, pixels.side[first], 1, n_samples=1, shadows=False)
     q = np.stack([_means(v.astype(float), first, last) for v in (pixels.x, pixels.y)], axis=1)
     nothing = np.zeros(len(first))
     return interpolated(Leaves(first, last, np.full(len(first), 2), q, nothing, factor, nothing, nothing, nothing), pixels)[:, 0]
 
 
 def _view(surface, camera):
-    """What turns a place in the picture into a ray, in local coordinates: centre (3,), and (3, 3) with v = M (x, y, 1)."""
+    """What turns a place in the picture into a ray, in local coordinates: centre (3,), and (3, 3) with v = M (x, y, 1).
+    Without a camera (pixels that mirrors show) no place but a pixel's own is known: M = 0."""
+    if camera is None:
+        return np.zeros(3), np.zeros((3, 3)), *_triangles(surface)
     M = camera.T_cam_world[:3, :3].T @ np.linalg.inv(camera.K)
     return surface.local.points(camera.centre), M, *_triangles(surface)
 
@@ -369,7 +371,7 @@ def _visible(surface, lamp, pixels, which, view, n, seed):
         some = which[a:a + step]
         rays, weight = _shadow_rays(some, n, sequence, shifts(len(some), n, seed), pixels.x, pixels.y, pixels.side, pixels.p, *view,
                                     surface.origin, surface.normal, lamp.corners, lamp.normal, lamp.cdf)
-        share[a:a + step] = _share(weight, surface.shadows.occluded(rays, 1 - 1e-4))
+        share[a:a + step] = _share(weight, ~form_factors.reached(surface, lamp, rays))
     return share
 
 
@@ -624,8 +626,73 @@ def _sent(surface, shown, lamps, E, p, first, last, side, n_rays, seed):
         near, close = _close(surface, shown, lamps, E, rays, triangle, t)
         _look(rays, triangle, t, n_rays, surface.facet, surface.normal, surface.origin, surface.axes, surface.size, surface.inside,
               shown.start, shown.shape, shown.value, shown.direct, near, close, total[a:b], half[a:b], distance[a:b])
+        if shown.ways is not None:
+            total[a:b] += _by_ways(surface, shown, rays, triangle, t, b - a, n_rays)
     return total, half, distance
 
+
+def _by_ways(surface, shown, rays, triangle, t, m, n_rays):
+    """What m places receive from their rays after mirrors and glossy surfaces, (m, C)."""
+    from lib import specular
+    f = np.where(triangle >= 0, surface.facet[triangle], 0)
+    back = np.einsum("ij,ij->i", rays[:, 3:], surface.normal[f]) > 0
+    counts = ~((triangle >= 0) & surface.inside[2 * f + back])
+    element = np.repeat(np.arange(m), n_rays)
+    start = specular.first_met(rays, np.where(counts, triangle, -1), t)
+    return beyond(surface, shown, start, element, m) / np.maximum(np.bincount(element, counts, m), 1)[:, None]
+
+
+def beyond(surface: Surface, shown: Texture, start, element, m, *, seed=11):
+    """Sums (m, C) over the rays of each element of what they find after the specular surfaces that they have met.
+
+    start : lib.specular.Met;  element : (n,) of each ray
+    """
+    from lib import specular
+    ways = shown.ways
+    C = shown.value.shape[1]
+    total = np.zeros((m, C))
+
+    def add(met, light):
+        light = light * ways.chains.power(ways.rho_s)[met.chain]
+        for c in range(C):
+            total[:, c] += np.bincount(element[met.source], light[:, c], m)
+
+    def at_lobe(p, facet, sign, met, group, axes):
+        add(met, specular.lobe_light(surface, ways.finish, ways.lamps, p, facet, sign, met, group, axes, seed=seed) @ ways.E[[lamp.lamp for lamp in ways.lamps]])
+
+    for met in specular.follow(surface, ways.finish, ways.chains, start, seed=seed, at_lobe=at_lobe):
+        light = reflected_at(surface, shown, met.rays, met.triangle, met.t) * met.weight[:, None]
+        which, share = specular.lamp_found(surface, ways.lamps, replace(met, glossy=met.glossy + ways.by_rays))
+        on = np.flatnonzero(which >= 0)
+        light[on] += share[on, None] * ways.E[np.array([lamp.lamp for lamp in ways.lamps])[which[on]]]
+        add(met, light)
+    return total
+
+
+def reflected_at(surface: Surface, shown: Texture, rays, triangle, t):
+    """What the ends of rays reflect diffusely towards them, (n, C); nothing inside solids."""
+    return _reflected_at(rays, triangle, t, surface.facet, surface.normal, surface.origin, surface.axes, surface.size, surface.inside, shown.start, shown.shape, shown.value)
+
+
+@njit(cache=True, parallel=True)
+def _reflected_at(rays, triangle, t, facet, normal, origin, axes, size, inside, start, shape, value):
+    C = value.shape[1]
+    out = np.zeros((len(rays), C))
+    for i in prange(len(rays)):
+        if triangle[i] < 0:
+            continue
+        f = facet[triangle[i]]
+        along = rays[i, 3] * normal[f, 0] + rays[i, 4] * normal[f, 1] + rays[i, 5] * normal[f, 2]
+        s = 2 * f + (1 if along > 0 else 0)
+        if inside[s] or start[s] < 0:
+            continue
+        p = np.empty(3)
+        for d in range(3):
+            p[d] = rays[i, d] + t[i] * rays[i, 3 + d]
+        here, du, dv, u, v = _texel(p, f, s, origin, axes, size, start, shape)
+        for c in range(C):
+            out[i, c] = (1 - u) * ((1 - v) * value[here, c] + v * value[here + dv, c]) + u * ((1 - v) * value[here + du, c] + v * value[here + du + dv, c])
+    return out
 
 def _close(surface, shown, lamps, E, rays, triangle, t):
     """Where a ray ends within three texels its target is too near for a texture: a shadow in the corner matters. The number of
@@ -638,7 +705,7 @@ def _close(surface, shown, lamps, E, rays, triangle, t):
         shadow, factor = _close_rays(rows, rays, triangle, t, k, surface.facet, surface.normal, surface.origin, surface.axes, surface.size,
                                      shown.start, shown.shape, shown.open, lamp.corners, lamp.normal, lamp.cdf)
         lit = np.flatnonzero(factor > 0)
-        factor[lit[surface.shadows.occluded(shadow[lit], 1 - 1e-4)]] = 0
+        factor[lit[~form_factors.reached(surface, lamp, shadow[lit])]] = 0
         light += factor[:, None] * E[lamp.lamp].astype(np.float32)
     return near, light * shown.rho[surface.facet[triangle[rows]]]
 
@@ -948,7 +1015,6 @@ def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays
     board is darker in the pixel where it lies than anywhere else."""
     factor = np.zeros((len(fragments.facet), n_lamps))
     normals = form_factors.side_normals(surface)
-    unshadowed = replace(surface, n_occluders=0)
     # the sub-pixels of a fragment, in an order of no direction, take one point after the other of one good set
     which = np.flatnonzero(fragments.owner >= 0)
     which = which[np.lexsort((which * 37 % 64, fragments.owner[which]))]
@@ -956,14 +1022,14 @@ def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays
     sequence, shift = sobol(64 * rays_each), shifts(len(fragments.facet), 64 * rays_each, 77)
     which, rank = np.repeat(which, rays_each), np.repeat(rank * rays_each, rays_each) + np.tile(np.arange(rays_each), len(which))
     for number, lamp in enumerate(lamps):
-        whole = form_factors.direct(unshadowed, [replace(lamp, lamp=0)], fragments.p, normals, fragments.side, 1, n_samples=1)[:, 0]
-        if surface.n_occluders and len(which):
+        whole = form_factors.direct(surface, [replace(lamp, lamp=0)], fragments.p, normals, fragments.side, 1, n_samples=1, shadows=False)[:, 0]
+        if (surface.n_occluders or lamp.mirrors) and len(which):
             total, seen = np.zeros(len(whole)), np.zeros(len(whole))
             for a in range(0, len(which), CHUNK):
                 some = which[a:a + CHUNK]
                 rays, weight = _fragment_rays(some, rank[a:a + CHUNK], sequence, shift, fragments.owner, fragments.side, fragments.at, surface.normal,
                                               lamp.corners, lamp.normal, lamp.cdf)
-                visible = ~surface.shadows.occluded(rays, 1 - 1e-4)
+                visible = form_factors.reached(surface, lamp, rays)
                 owner = fragments.owner[some]
                 total += np.bincount(owner, weight, len(whole))
                 seen += np.bincount(owner, weight * visible, len(whole))

@@ -73,17 +73,21 @@ def _three(values):
     return [float(v) for v in np.broadcast_to(values, 3)]
 
 
-def describe(problem, result, gathered, *, scale, transfer) -> dict:
-    """The content of materials.json. One-channel results stand three times."""
+def describe(problem, result, gathered, *, scale, transfer, climb=None, textures=None) -> dict:
+    """The content of materials.json. One-channel results stand three times.
+
+    climb : ladder.Climb where a group is not diffuse;  textures : {group: {facet number: file}}
+    """
     state = result.state
-    seen = np.isin(np.arange(len(problem.groups)), problem.tile_group)
+    specular = {} if climb is None or climb.finish is None else {g: m for m, g in enumerate(climb.finish.groups)}
+    seen = np.isin(np.arange(len(problem.groups)), [*problem.tile_group, *specular])
     reached = np.isin(np.arange(len(problem.groups)), problem.patch_group)
     errors = reflectance.group_rmse(problem, result.tile_residual)
     groups = {}
     for g, name in enumerate(problem.groups):
         if name in problem.lamps:
             continue
-        known = not np.isnan(problem.rho[g]).any()
+        known = not np.isnan(problem.rho[g]).any() and g not in specular
         identified = bool(known or seen[g])
         sigma = None if result.sigma_rho is None or not (seen[g] or known) else _three(result.sigma_rho[g])
         groups[name] = {
@@ -93,8 +97,10 @@ def describe(problem, result, gathered, *, scale, transfer) -> dict:
             "assumed": _three(np.clip(state.rho[g], 0, 1)) if not identified and reached[g] else None,
             "sigma": {"rho_d": sigma},
             "pixels": int(gathered.visible[g]),
-            "error": float(errors[g]) if seen[g] else None,
+            "error": float(errors[g]) if seen[g] and np.isfinite(errors[g]) else None,
             "identified": identified}
+        if climb is not None:
+            groups[name] |= _of_rung(climb, g, specular.get(g), (textures or {}).get(g), groups[name]["sigma"])
     lamps = {name: {"emittance": _three(state.E[k]),
                     "sigma": None if not np.isnan(problem.emittance[k]).any() or result.sigma_E is None or scale == "convention" else _three(result.sigma_E[k])}
              for k, name in enumerate(problem.lamps)}
@@ -109,6 +115,31 @@ def describe(problem, result, gathered, *, scale, transfer) -> dict:
     status = "nothing seen" if len(problem.tile_group) == 0 else "converged" if result.converged else "not converged"
     return {"status": status, "groups": groups, "lamps": lamps, "transfer": function, "scale": scale,
             "image": {"rmse": float(result.rmse) if np.isfinite(result.rmse) and len(problem.tile_group) else None, "iterations": int(result.iterations)}}
+
+
+def _of_rung(climb, g, m, textures, sigma):
+    """What a group's rung adds to its entry: g its number, m that among the specular groups, or None."""
+    place, state = climb.places[g], climb.result.state
+    entry = {"ladder": {"rung": place.rung, "why": place.why, "tried": place.tried}} if place.why else {}
+    if g in climb.misfits and m is not None:
+        entry["error"] = climb.misfits[g].rms
+    if place.rung == "textured":
+        return entry | {"kind": "textured", "texture": textures}
+    if m is None:
+        return entry
+    known = climb.problem.specular.rho_s[m]
+    entry |= {"kind": "glossy" if place.rung == "anisotropic" else place.rung, "rho_s": _three(state.rho_s[m])}
+    sigma = sigma | {"rho_s": _three(climb.result.sigma_rho_s[m]) if np.isnan(known).any() else [0.0, 0.0, 0.0]}
+    if "mirror" in place.rung:
+        sigma["rho_d"] = [0.0, 0.0, 0.0]                              # a mirror has none by what the word means
+    else:
+        shape = climb.sigma_shape.get(g, {})
+        entry |= {"alpha": [float(a) for a in place.alpha], "tangent": [float(x) for x in place.tangent] if place.rung == "anisotropic" else None}
+        relative = [shape.get(name, shape.get("alpha", 0.0)) for name in ("alpha_x", "alpha_y")]
+        sigma |= {"alpha": [float(a * r) for a, r in zip(place.alpha, relative)]}
+        if place.rung == "anisotropic":
+            sigma["tangent_rad"] = shape.get("turn")
+    return entry | {"sigma": sigma}
 
 
 def warnings(problem, result, found, gathered):

@@ -47,6 +47,8 @@ class Problem:
     fit_gamma: bool
     halves: tuple = ()           # (G0, G1, F0, F1): the same from disjoint rays
     group_area: np.ndarray = None
+    specular: "Specular" = None  # light by way of mirrors and glossy surfaces; None where every group is diffuse
+    variance: np.ndarray = None  # (T, 1) display, of what is known not to be explained (a texture); None: nothing
 
     def __post_init__(self):
         self.photograph = Tiles(self.pixels, self.start)
@@ -61,6 +63,28 @@ class Problem:
         return np.diff(self.start)
 
 
+@dataclass
+class Specular:
+    """What lib.specular traced for M specular groups: light is a polynomial in their rho_s, chain by chain (K of them).
+
+    A tile shows its group as seen by way of `tile_chain` (0: at once, else through mirrors), and a glossy one its lobe besides:
+        B_t = power_t rho_g (D_t E + G_t b) + sum_k power_k (V_k E + W_k b)_t,      power_k = prod_m rho_s[m] ** k_m
+    and likewise F, D, G, D_t are sums over the chains of the light's ways. `bend` holds the derivatives of (W, V) with respect to
+    alpha_x, alpha_y and the angle of the tangent: shapes are adjusted linearly here, and traced again outside.
+    """
+    groups: tuple                # (M,) numbers of the groups
+    chains: object               # lib.specular.Chains
+    F: dict                      # chain -> (N, N) CSR
+    D: dict                      # chain -> (N, L)
+    G: dict                      # chain -> (T, N) CSR
+    D_tile: dict                 # chain -> (T, L)
+    tile_chain: np.ndarray       # (T,) int
+    W: dict                      # chain -> (T, N) CSR
+    V: dict                      # chain -> (T, L)
+    rho_s: np.ndarray            # (M, C); NaN where unknown
+    bend: list = field(default_factory=list)      # of (m, name, W, V, low, high): bounds of the step in that shape
+
+
 @dataclass(frozen=True)
 class State:
     rho: np.ndarray              # (G, C)
@@ -68,8 +92,8 @@ class State:
     gamma: float
     B: np.ndarray                # (T, C) tile radiosities
     b: np.ndarray                # (N, C) reflected radiosity of the patches
-    seen: np.ndarray = None      # (T, C) photograph, linear mean of the tile
-    seen_slope: np.ndarray = None
+    rho_s: np.ndarray = None     # (M, C) of the specular groups
+    bend: np.ndarray = None      # (n,) steps in the shapes of the lobes
 
 
 @dataclass
@@ -81,6 +105,8 @@ class Result:
     sigma_rho: np.ndarray = None
     sigma_E: np.ndarray = None
     sigma_gamma: float = None
+    sigma_rho_s: np.ndarray = None
+    sigma_bend: np.ndarray = None
     tile_residual: np.ndarray = None     # (T, C) display, synthesis minus photograph
     residual: float = None               # of the light balance
     misfit: float = 0.0                  # typical tile residual over what pixel noise and sampling explain
@@ -88,36 +114,120 @@ class Result:
     warnings: list = field(default_factory=list)
 
 
-class Light:
-    """Solves the balance and renders the tiles; keeps F in single precision, which its sampling error dwarfs."""
+class Ways:
+    """The matrices of light at given rho_s: lists of one, or of one for each channel where rho_s is coloured."""
 
-    def __init__(self, problem: Problem, F=None, G=None):
-        self.p = problem
-        F = problem.F if F is None else F
-        self.G = problem.G if G is None else G
-        self.F = F.toarray() if hasattr(F, "toarray") and F.shape[0] <= DENSE_LIMIT else F
+    def __init__(self, problem, rho_s=None, F=None, G=None):
+        p, spec = problem, problem.specular
+        F, G = p.F if F is None else F, p.G if G is None else G
+        self.spec, self.rho_s = spec, rho_s
+        dense = lambda A: A.toarray() if hasattr(A, "toarray") and A.shape[0] <= DENSE_LIMIT else A
+        if spec is None:
+            # in single precision, which the sampling error of F dwarfs
+            self.F, self.D, self.G, self.D_tile, self.W, self.V, self.seen = [dense(F)], [p.D], [G], [p.D_tile], None, None, np.ones((1, 1))
+            return
+        power = spec.chains.power(rho_s)
+        power = power[:, :1] if (power == power[:, :1]).all() else power
+        mixed = lambda base, parts: [_sum(base, parts, power[:, c]) for c in range(power.shape[1])]
+        self.F, self.G = [dense(A) for A in mixed(F, spec.F)], mixed(G, spec.G)
+        self.D, self.D_tile = mixed(p.D, spec.D), mixed(p.D_tile, spec.D_tile)
+        self.W, self.V = (mixed(None, spec.W), mixed(None, spec.V)) if spec.W or spec.V else (None, None)
+        self.seen = power[spec.tile_chain]
+
+    def slopes(self, m, c):
+        """Derivatives with respect to rho_s[m, c]: of F, D, G, D_tile, W, V, each a matrix or 0, and of `seen`, (T,)."""
+        spec = self.spec
+        slope = spec.chains.slope(self.rho_s, m)[:, c]
+        return [_sum(None, parts, slope) for parts in (spec.F, spec.D, spec.G, spec.D_tile, spec.W, spec.V)] + [slope[spec.tile_chain]]
+
+
+def _sum(base, parts, power):
+    """base + sum_k power_k parts_k; base None: nothing; 0 where there is nothing at all."""
+    total = base
+    for k, part in parts.items():
+        if power[k] != 0:
+            total = part * power[k] if total is None else total + part * power[k]
+    return 0 if total is None else total.tocsr() if hasattr(total, "tocsr") else total
+
+
+def _times(matrices, X, channel=None):
+    """Each column of X (n, K) times the matrix of its channel (K,); of nothing 0."""
+    if matrices is None:
+        return 0
+    if len(matrices) == 1:
+        return matrices[0] @ X if not isinstance(matrices[0], int) else 0
+    channel = np.arange(X.shape[1]) if channel is None else channel
+    parts = [(channel == c, A) for c, A in enumerate(matrices)]
+    size = next((A.shape[0] for A in matrices if not isinstance(A, int)), 0)
+    out = np.zeros((size, X.shape[1]), np.result_type(X, np.float32))
+    for mine, A in parts:
+        if mine.any() and not isinstance(A, int):
+            out[:, mine] = A @ X[:, mine]
+    return out
+
+
+class Light:
+    """Solves the balance and renders the tiles at given rho_s of the specular groups."""
+
+    def __init__(self, problem: Problem, F=None, G=None, rho_s=None):
+        self.p, self.given = problem, (F, G)
         self.derivative = None       # of the last linearisation: where the next block solve starts
         self.residual = None
+        self.ways = None
+        if problem.specular is None:
+            self.at(None)
+        elif rho_s is not None:
+            self.at(rho_s)
 
-    def _apply(self, scale):
+    def at(self, rho_s):
+        """The matrices at these rho_s, made anew only where they have changed."""
+        if self.ways is None or rho_s is not None and not np.array_equal(self.ways.rho_s, rho_s):
+            self.ways = Ways(self.p, None if rho_s is None else rho_s.copy(), *self.given)
+        return self
+
+    @property
+    def G(self):
+        return self.ways.G
+
+    def _apply(self, scale, channel=None):
         """scale : (N, K) rho of each patch in each column."""
-        return lambda X: X - scale * (self.F @ X)
+        return lambda X: X - scale * _times(self.ways.F, X, channel)
 
     def solve(self, rho, E, x0=None, tolerance=1e-5):
         """Reflected radiosity of the patches, (N, C), and irradiance D E + F b of the patches, (N, C)."""
-        direct = self.p.D @ E
+        direct = _times(self.ways.D, E)
         scale = rho[self.p.patch_group].astype(np.float32)
         b, residual, _ = radiosity.gmres(self._apply(scale), (scale * direct).astype(np.float32), tolerance=tolerance, x0=x0)
         self.residual = residual
-        return b, direct + self.F @ b
+        return b, direct + _times(self.ways.F, b)
 
-    def tiles(self, rho, E, b):
-        """Tile irradiance (T, C): B_t = rho_g times this."""
-        return self.p.D_tile @ E + self.G @ b
+    def tiles(self, rho, E, b, G=None):
+        """Irradiance of the tiles, (T, C)."""
+        return _times(self.ways.D_tile, E) + _times(self.ways.G if G is None else G, b)
+
+    def lobes(self, E, b, bend=()):
+        """What lobes add to the tiles, (T, C) or 0."""
+        if self.ways.W is None:
+            return 0
+        total = _times(self.ways.V, E) + _times(self.ways.W, b)
+        for step, (_, _, W, V, _, _) in zip(bend, self.p.specular.bend):
+            if step:
+                total = total + step * self.bent(W, V, E, b)
+        return total
+
+    def bent(self, W, V, E, b):
+        """Derivative of the lobes' light with respect to one shape, (T, C)."""
+        power = self.p.specular.chains.power(self.ways.rho_s)
+        one = lambda parts, X: _times([_sum(None, parts, power[:, c]) for c in range(power.shape[1])], X)
+        return one(W, b) + one(V, E)
+
+    def shown(self, rho, E, b, bend=(), G=None):
+        """Radiosity of the tiles, (T, C)."""
+        return self.ways.seen * rho[self.p.tile_group] * self.tiles(rho, E, b, G) + self.lobes(E, b, bend)
 
     def render(self, rho, E, gamma, x0=None) -> State:
         b, _ = self.solve(rho, E, x0)
-        return State(rho, E, gamma, rho[self.p.tile_group] * self.tiles(rho, E, b), b)
+        return State(rho, E, gamma, self.shown(rho, E, b), b)
 
 
 def _metric(problem, gamma):
@@ -151,7 +261,7 @@ def initialise(problem, gamma):
     unknown = np.isnan(problem.emittance)
     if unknown.any():
         # one power for all unknown lamps so that the picture's mean is right at rho = 0.5
-        level = Light(problem).tiles(rho, E, np.zeros((len(problem.area), problem.channels), np.float32)).mean(axis=0)
+        level = (problem.D_tile @ E).mean(axis=0)
         E = np.where(unknown, np.maximum(2 * seen.mean(axis=0) / np.maximum(level, 1e-12), 1e-6), E)
     return rho, E
 
@@ -173,68 +283,112 @@ def _prior(problem, rho):
 
 @dataclass(frozen=True)
 class _Layout:
-    """Which parameters are free: reflectance (g, c), lamp (l, c), gamma."""
+    """Which parameters are free: reflectance (g, c), lamp (l, c), specular reflectance (m, c), shapes of lobes, gamma."""
     rho: np.ndarray      # (n_rho, 2)
     E: np.ndarray        # (n_E, 2)
+    rho_s: np.ndarray    # (n_s, 2)
+    bend: tuple          # bounds (low, high) of each shape's step
     gamma: bool
 
     @property
+    def ends(self):
+        """Where each kind of parameter ends."""
+        return np.cumsum([len(self.rho), len(self.E), len(self.rho_s), len(self.bend)])
+
+    @property
     def size(self):
-        return len(self.rho) + len(self.E) + self.gamma
+        return int(self.ends[-1]) + self.gamma
 
     @property
     def channel(self):
-        return np.concatenate([self.rho[:, 1], self.E[:, 1]]).astype(int)
+        """Of the parameters that change the patches' light, (n,)."""
+        return np.concatenate([self.rho[:, 1], self.E[:, 1], self.rho_s[:, 1]]).astype(int)
 
     def pack(self, state):
-        return np.concatenate([state.rho[tuple(self.rho.T)], state.E[tuple(self.E.T)], [state.gamma] * self.gamma])
+        parts = [state.rho[tuple(self.rho.T)], state.E[tuple(self.E.T)]]
+        if len(self.rho_s) or self.bend:
+            parts += [state.rho_s[tuple(self.rho_s.T)], state.bend]
+        return np.concatenate(parts + [[state.gamma] * self.gamma])
 
     def unpack(self, theta, state):
-        rho, E, n = state.rho.copy(), state.E.copy(), len(self.rho)
+        """rho, E, gamma, rho_s, bend."""
+        rho, E = state.rho.copy(), state.E.copy()
+        rho_s, bend = None if state.rho_s is None else state.rho_s.copy(), state.bend
+        n, m, k, j = self.ends
         rho[tuple(self.rho.T)] = theta[:n]
-        E[tuple(self.E.T)] = theta[n:n + len(self.E)]
-        return rho, E, float(theta[-1]) if self.gamma else state.gamma
+        E[tuple(self.E.T)] = theta[n:m]
+        if k > m:
+            rho_s[tuple(self.rho_s.T)] = theta[m:k]
+        if j > k:
+            bend = theta[k:j].copy()
+        return rho, E, float(theta[-1]) if self.gamma else state.gamma, rho_s, bend
 
     def bounds(self):
-        n, m = len(self.rho), len(self.E)
-        return (np.concatenate([np.zeros(n + m), [0.2] * self.gamma]), np.concatenate([np.ones(n), np.full(m, np.inf), [8.0] * self.gamma]))
+        n, m, s = len(self.rho), len(self.E), len(self.rho_s)
+        low, high = (np.array([b[i] for b in self.bend], float).reshape(-1) for i in (0, 1))
+        return (np.concatenate([np.zeros(n + m + s), low, [0.2] * self.gamma]), np.concatenate([np.ones(n), np.full(m, np.inf), np.ones(s), high, [8.0] * self.gamma]))
 
 
 def _layout(problem):
     used = np.isin(np.arange(len(problem.groups)), np.concatenate([problem.tile_group, problem.patch_group]))
     rho = np.argwhere(np.isnan(problem.rho) & used[:, None])
-    return _Layout(rho, np.argwhere(np.isnan(problem.emittance)), problem.fit_gamma)
+    spec = problem.specular
+    rho_s = np.argwhere(np.isnan(spec.rho_s)) if spec is not None else np.zeros((0, 2), int)
+    bend = tuple((low, high) for *_, low, high in spec.bend) if spec is not None else ()
+    return _Layout(rho, np.argwhere(np.isnan(problem.emittance)), rho_s, bend, problem.fit_gamma)
 
 
 def _patch_derivative(problem, light, layout, state, irradiance):
-    """db/dtheta of the patches, (N, n) without gamma, by one block solve."""
-    n_rho = len(layout.rho)
+    """db/dtheta of the patches, (N, n) without gamma and shapes, by one block solve."""
+    n, m = len(layout.rho), len(layout.rho) + len(layout.E)
     channel = layout.channel
     scale = state.rho[problem.patch_group].astype(np.float32)
     rhs = np.zeros((len(problem.area), len(channel)), np.float32)
     for k, (g, c) in enumerate(layout.rho):
         rhs[:, k] = np.where(problem.patch_group == g, irradiance[:, c], 0)
     for k, (lamp, c) in enumerate(layout.E):
-        rhs[:, n_rho + k] = scale[:, c] * problem.D[:, lamp]
+        D = light.ways.D
+        rhs[:, n + k] = scale[:, c] * D[c if len(D) > 1 else 0][:, lamp]
+    for k, (s, c) in enumerate(layout.rho_s):
+        dF, dD = light.ways.slopes(s, c)[:2]
+        rhs[:, m + k] = scale[:, c] * (_dot(dD, state.E[:, c]) + _dot(dF, state.b[:, c]))
     # the exact residual decides where the iteration ends; its derivative only how fast
-    light.derivative, _, _ = radiosity.gmres(light._apply(scale[:, channel]), rhs, tolerance=3e-3, x0=light.derivative)
+    light.derivative, _, _ = radiosity.gmres(light._apply(scale[:, channel], channel), rhs, tolerance=3e-3, x0=light.derivative)
     return light.derivative
 
 
-def _jacobian(problem, layout, state, db, G):
-    """dB/dtheta of the tiles, (T, C, n), zero for gamma; G : (T, N) which rays the tiles gather with."""
-    n_rho = len(layout.rho)
-    reaching = G @ db                                                                   # (T, n)
-    rho_tile = state.rho[problem.tile_group]
-    irradiance = problem.D_tile @ state.E + G @ state.b
+def _dot(A, x):
+    return 0 if isinstance(A, int) else A @ x
+
+
+def _jacobian(problem, light, layout, state, db, G):
+    """dB/dtheta of the tiles, (T, C, n), zero for gamma; G : list of (T, N), which rays the tiles gather with."""
+    n_rho, n_E, n_s, n_bend = layout.ends
+    ways, channel = light.ways, layout.channel
+    reaching = _times(G, db, channel)                                                                   # (T, n)
+    glossed = _times(ways.W, db, channel)
+    rho_tile = ways.seen * state.rho[problem.tile_group]
+    irradiance = light.tiles(state.rho, state.E, state.b, G)
     J = np.zeros((len(problem.tile_group), problem.channels, layout.size))
-    for k, c in enumerate(layout.channel):
-        J[:, c, k] = rho_tile[:, c] * reaching[:, k]
+    of = lambda matrices, c: matrices[c if len(matrices) > 1 else 0]
+    for k, c in enumerate(channel):
+        J[:, c, k] = rho_tile[:, c] * reaching[:, k] + (0 if ways.W is None else glossed[:, k])
         if k < n_rho:
             mine = problem.tile_group == layout.rho[k, 0]
-            J[mine, c, k] += irradiance[mine, c]
+            J[mine, c, k] += (irradiance * ways.seen)[mine, c]
+        elif k < n_E:
+            lamp = layout.E[k - n_rho, 0]
+            J[:, c, k] += rho_tile[:, c] * of(ways.D_tile, c)[:, lamp]
+            if ways.V is not None and not isinstance(of(ways.V, c), int):
+                J[:, c, k] += of(ways.V, c)[:, lamp]
         else:
-            J[:, c, k] += rho_tile[:, c] * problem.D_tile[:, layout.E[k - n_rho, 0]]
+            _, _, dG, dD, dW, dV, dseen = ways.slopes(layout.rho_s[k - n_E, 0], c)
+            b, E = state.b[:, c], state.E[:, c]
+            J[:, c, k] += rho_tile[:, c] * (_dot(dD, E) + _dot(dG, b)) + _dot(dV, E) + _dot(dW, b) \
+                + dseen * state.rho[problem.tile_group, c] * irradiance[:, c]
+    for k in range(n_s, n_bend):
+        _, _, W, V, _, _ = problem.specular.bend[k - n_s]
+        J[:, :, k] = light.bent(W, V, state.E, state.b)
     return J
 
 
@@ -256,7 +410,8 @@ def _residual(problem, B, gamma):
 def _variance(problem, residual):
     """Variance of each tile, (T, 1): pixel noise falls with the tile's size, what the model lacks does not."""
     typical = 1.4826 * float(np.median(np.abs(residual))) if residual.size else 0.0
-    return problem.pixel_noise ** 2 / problem.n_pixels[:, None] + min(max(typical, 5e-4), 0.05) ** 2
+    variance = problem.pixel_noise ** 2 / problem.n_pixels[:, None] + min(max(typical, 5e-4), 0.05) ** 2
+    return variance if problem.variance is None else variance + problem.variance
 
 
 def _weights(problem, residual):
@@ -276,17 +431,18 @@ def _pixel_noise(problem):
 class _Equations:
     """The problem linearised at a state: residual r and Jacobian J in display values, per half of the tiles' rays too."""
 
-    def __init__(self, problem, light, layout, rho, E, gamma, x0=None):
-        self.p, self.light, self.layout = problem, light, layout
+    def __init__(self, problem, light, layout, rho, E, gamma, rho_s=None, bend=None, x0=None):
+        self.p, self.light, self.layout = problem, light.at(rho_s), layout
         b, self.irradiance = light.solve(rho, E, x0)
-        self.state = State(rho, E, gamma, rho[problem.tile_group] * light.tiles(rho, E, b), b)
+        self.state = State(rho, E, gamma, light.shown(rho, E, b, () if bend is None else bend), b, rho_s, bend)
         self.residual, self.slope, self.by_gamma = _residual(problem, self.state.B, gamma)
 
     def jacobian(self, G=None, slope=None, by_gamma=None):
         """(T C, n) with the full rays or with those of G."""
+        self.light.at(self.state.rho_s)
         if not hasattr(self, "db"):
             self.db = _patch_derivative(self.p, self.light, self.layout, self.state, self.irradiance)
-        J = (self.slope if slope is None else slope)[:, :, None] * _jacobian(self.p, self.layout, self.state, self.db, self.light.G if G is None else G)
+        J = (self.slope if slope is None else slope)[:, :, None] * _jacobian(self.p, self.light, self.layout, self.state, self.db, self.light.G if G is None else G)
         if self.layout.gamma:
             J[:, :, -1] = self.by_gamma if by_gamma is None else by_gamma
         return J.reshape(-1, self.layout.size)
@@ -294,7 +450,9 @@ class _Equations:
     def half(self, G):
         """Residual (T C,) and Jacobian (T C, n) as one half of the tiles' rays see them."""
         s = self.state
-        B = s.rho[self.p.tile_group] * (self.p.D_tile @ s.E + G @ s.b)
+        self.light.at(s.rho_s)
+        G = [G] if self.p.specular is None else Ways(self.p, s.rho_s, self.p.F, G).G
+        B = self.light.shown(s.rho, s.E, s.b, () if s.bend is None else s.bend, G)
         residual, slope, by_gamma = _residual(self.p, B, s.gamma)
         return residual.reshape(-1), self.jacobian(G, slope, by_gamma)
 
@@ -313,18 +471,24 @@ class _Equations:
         return float((weight * self.residual ** 2).sum() + (gradient ** 2 / np.where(diagonal > 0, diagonal, 1)).sum())
 
 
-def gauss_newton(problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e-5, trace=None) -> Result:
+def gauss_newton(problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e-5, trace=None, start=None, finish=True) -> Result:
     """All unknown reflectances, lamps and gamma together: Levenberg-Marquardt with bounds and Huber weights, then a
     few steps that take away the bias which the sampling noise of the tiles' own light leaves in least squares
     (errors in the regressors): the two halves of each tile's rays err independently, so J of one half against the
-    residual of the other has no such bias."""
+    residual of the other has no such bias.
+
+    start : (rho, E, gamma, rho_s) to begin with instead of eq. 4.3, as specular problems must; bends begin at 0
+    finish : False: neither the last steps nor the uncertainty (on the way to a better problem)
+    """
     layout = _layout(problem)
     light = Light(problem)
-    rho, E = initialise(problem, gamma)
+    if start is None:
+        start = (*initialise(problem, gamma), gamma, None)
+    rho, E, gamma, rho_s = start
     gamma = gamma if problem.fit_gamma else problem.metric.transfer.gamma
     low, high = layout.bounds()
     damping, converged, iteration = 1e-3, False, 0
-    at = _Equations(problem, light, layout, rho, E, gamma)
+    at = _Equations(problem, light, layout, rho, E, gamma, rho_s, None if rho_s is None else np.zeros(len(layout.bend)))
     while True:
         if trace:
             trace(iteration=iteration, image_rmse=_rmse(problem, at.residual), state=at.state)
@@ -339,7 +503,7 @@ def gauss_newton(problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e
         theta, cost = layout.pack(at.state), at.cost(weight)
         for _ in range(12):
             step = _bounded_step(H, g, theta, low, high, damping)
-            trial = _Equations(problem, light, layout, *layout.unpack(theta + step, at.state), at.state.b)
+            trial = _Equations(problem, light, layout, *layout.unpack(theta + step, at.state), x0=at.state.b)
             if trial.cost(weight) <= cost * (1 + 1e-9) + 1e-12:
                 damping = max(damping / 10, 1e-9)
                 break
@@ -350,13 +514,13 @@ def gauss_newton(problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e
         at = trial
         converged = bool(_relative(step, theta) < tolerance)
     converged = converged or layout.size == 0
-    if problem.halves and converged and layout.size and len(problem.tile_group):
+    if finish and problem.halves and converged and layout.size and len(problem.tile_group):
         at, steps = _unbiased(problem, layout, at, tolerance)
         iteration += steps
         if trace:
             trace(iteration=iteration, image_rmse=_rmse(problem, at.residual), state=at.state)
     result = Result(at.state, converged, iteration, _rmse(problem, at.residual), tile_residual=at.residual, residual=light.residual)
-    if layout.size and len(problem.tile_group):
+    if finish and layout.size and len(problem.tile_group):
         _uncertainty(problem, layout, at, result)
     return result
 
@@ -386,7 +550,7 @@ def _unbiased(problem, layout, at, tolerance, max_steps=8):
         if size > 0.9 * last:
             return start, 0
         last = size
-        at = _Equations(problem, at.light, layout, *layout.unpack(theta + step, at.state), at.state.b)
+        at = _Equations(problem, at.light, layout, *layout.unpack(theta + step, at.state), x0=at.state.b)
         if size < 10 * tolerance:
             return at, steps
     return start, 0
@@ -447,10 +611,12 @@ def _uncertainty(problem, layout, at, result):
         return -inverse @ (J.T @ (weight * (at.slope * dB).reshape(-1)))
 
     rho_tile = state.rho[problem.tile_group]
-    terms = {"discretisation": 0.5 * push(rho_tile * (at.light.G @ state.b - problem.G_plain @ state.b))}
+    at.light.at(state.rho_s)
+    rho_tile = at.light.ways.seen * rho_tile
+    terms = {"discretisation": 0.5 * push(rho_tile * ((problem.G - problem.G_plain) @ state.b))}
     if problem.halves:
         G0, G1, F0, F1 = problem.halves
-        b0, b1 = (Light(problem, F, problem.G).solve(state.rho, state.E, state.b)[0] for F in (F0, F1))
+        b0, b1 = (Light(problem, F, problem.G, state.rho_s).solve(state.rho, state.E, state.b)[0] for F in (F0, F1))
         terms["form factors"] = 0.5 * push(rho_tile * (problem.G @ (b0 - b1)))
         sampling = at.slope * 0.5 * rho_tile * ((G0 - G1) @ state.b)
         expected = float(np.sqrt(np.median(sampling ** 2 / 0.455 + problem.pixel_noise ** 2 / problem.n_pixels[:, None])))
@@ -458,7 +624,7 @@ def _uncertainty(problem, layout, at, result):
         each = by_tile((weight * sampling.reshape(-1))[:, None] * J)
         cov = cov + inverse @ (each.T @ each) @ inverse
     theta = layout.pack(state)
-    n_rho = len(layout.rho)
+    n_rho, n_E, n_s, n_bend = layout.ends
     seen = np.append(np.isin(layout.rho[:, 0], problem.tile_group), np.ones(n - n_rho, bool))
     for name, delta in terms.items():
         # one realisation can vanish by chance: no reflectance below the median of them all, relative to its value
@@ -472,7 +638,11 @@ def _uncertainty(problem, layout, at, result):
     sigma = np.maximum(np.sqrt(np.maximum(np.diag(cov), 0)), loose)
     result.sigma_rho, result.sigma_E = np.zeros(state.rho.shape), np.zeros(state.E.shape)
     result.sigma_rho[tuple(layout.rho.T)] = sigma[:n_rho]
-    result.sigma_E[tuple(layout.E.T)] = sigma[n_rho:n_rho + len(layout.E)]
+    result.sigma_E[tuple(layout.E.T)] = sigma[n_rho:n_E]
+    if problem.specular is not None:
+        result.sigma_rho_s = np.zeros(state.rho_s.shape)
+        result.sigma_rho_s[tuple(layout.rho_s.T)] = sigma[n_E:n_s]
+        result.sigma_bend = sigma[n_s:n_bend]
     result.sigma_gamma = float(sigma[-1]) if layout.gamma else None
 
 

@@ -9,7 +9,7 @@ of their fragments by area (the A-buffer). Colours are channels C (1 or 3); a ra
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,39 +41,47 @@ class Light:
         return float(lost / self.emitted.sum()) if self.emitted.sum() > 0 else 0.0
 
 
-def balance(F, D, side_group, area, exposed, rho, E, lamp_groups, front, *, tolerance=1e-6) -> Light:
+def balance(F, D, side_group, area, exposed, rho, E, lamp_groups, front, *, tolerance=1e-6, reach=None, mirrored=None) -> Light:
     """b = rho (D E + F b), and where the light of the lamps ends.
 
-    F : (N, N);  D : (N, L) lamp factors;  side_group : (N,) group of each patch;  area : (N,)
+    F : (N, N), or one for each channel;  D : (N, L) lamp factors, or one for each;  side_group : (N,) group of each patch;  area : (N,)
     exposed : (N,) share of each patch outside solids;  rho : (G, C);  E : (L, C);  lamp_groups : (L,)
     front : (N,) bool, the patch lies on the front of its facet
+    reach : (N,) share of each patch's light that meets something at once, if F goes on behind mirrors;  mirrored : (G, C) rho_s
 
     The flux is closed over rays alone: what leaves a patch and meets nothing, by the sums of its rays, has escaped.
     A closed scene keeps everything, and the lamps' factors, reciprocity and the solve are all in what is left over.
     """
-    direct = D @ E
+    by_channel = isinstance(F, list)
+    times = (lambda A, X: np.stack([A[c] @ X[:, c] for c in range(X.shape[1])], axis=1)) if by_channel else lambda A, X: A @ X
+    direct = times(D, E)
     r = rho[side_group]
     source = (r * direct).astype(np.float32)
     scale = r.astype(np.float32)
-    b, residual, iterations = radiosity.gmres(lambda X: X - scale * (F @ X), source, tolerance=tolerance)
-    indirect = F @ b
+    b, residual, iterations = radiosity.gmres(lambda X: X - scale * times(F, X), source, tolerance=tolerance)
+    indirect = times(F, b)
     emittance = np.zeros_like(b, dtype=float)
     for lamp, group in enumerate(lamp_groups):
         emittance[(side_group == group) & front] += E[lamp]
     size = (area * exposed)[:, None]
-    reach = np.asarray(F @ np.ones(F.shape[1], np.float32))[:, None]
+    reach = np.asarray(F @ np.ones(F.shape[1], np.float32))[:, None] if reach is None else np.asarray(reach)[:, None]
     emitted = (size * emittance).sum(axis=0)
-    absorbed = (size * (1 - r) * (direct + indirect)).sum(axis=0)
+    absorbed = (size * (1 - r - (0 if mirrored is None else mirrored[side_group])) * (direct + indirect)).sum(axis=0)
     escaped = (size * (emittance + b) * (1 - reach)).sum(axis=0)
     return Light(np.asarray(b, float), np.asarray(indirect, float), emitted, absorbed, escaped, residual, iterations)
 
 
 # -- the picture
 
-def radiosities(irradiance, surface: Surface, facet, side, rho, E, lamp_groups):
-    """(M, C): what places on facets reflect, and what the front of a lamp emits."""
+def radiosities(irradiance, surface: Surface, facet, side, rho, E, lamp_groups, p=None, textures=None):
+    """(M, C): what places on facets reflect, and what the front of a lamp emits. p : (M, 3), needed where there are textures"""
     group = surface.group[facet]
     B = rho[group] * irradiance
+    for f, texture in (textures or {}).items():
+        from lib.textures import lookup
+        at = np.flatnonzero(facet == f)
+        if len(at):
+            B[at] = lookup(texture, surface, p[at]) * irradiance[at]
     for lamp, lamp_group in enumerate(lamp_groups):
         B[(group == lamp_group) & (side & 1 == 0)] += E[lamp]
     return B
@@ -138,6 +146,9 @@ class Scene:
     gamma: float
     groups: tuple
     warnings: list = field(default_factory=list)
+    finish: object = None            # lib.specular.Finish of the mirrors and glossy groups; None: there are none
+    rho_s: np.ndarray = None         # (M, C)
+    textures: dict = field(default_factory=dict)     # facet -> lib.textures.Texture
 
     @property
     def channels(self):
@@ -238,12 +249,27 @@ def read(model, camera, photograph, facet, formfactors, materials, coverage) -> 
     coverage = artefact.read_npz(coverage, "pixel", "start", "facet", "count")
     if coverage["pixel"].max(initial=-1) >= facet.size or coverage["facet"].max(initial=-1) >= world.n_facets:
         raise BadInput(f"{paths['coverage']}: pixel, facet: beyond the picture or the model's {world.n_facets} facets ({model})")
-    rho, E, kind, gamma, warnings = read_materials(materials, factors.groups, factors.lamps, photograph.values.shape[2])
-    return Scene(mesh.surface(world, factors.lamps), camera, photograph, facet, factors, coverage, rho, E, kind, gamma, factors.groups, warnings)
+    found = read_materials(materials, factors.groups, factors.lamps, photograph.values.shape[2])
+    textures = read_textures(materials, found.textures, world.n_facets, photograph.values.shape[2])
+    return Scene(mesh.surface(world, factors.lamps), camera, photograph, facet, factors, coverage, found.rho, found.E, found.kind, found.gamma, factors.groups,
+                 found.warnings, found.finish, found.rho_s, textures)
 
 
-def read_materials(path, groups, lamps, channels):
-    """materials.json -> rho (G, C), E (L, C), kind and gamma of the transfer, warnings.
+@dataclass
+class Materials:
+    """What materials.json says. rho : (G, C);  E : (L, C);  finish, rho_s : of M specular groups, None;  textures : {facet: file}"""
+    rho: np.ndarray
+    E: np.ndarray
+    kind: str
+    gamma: float
+    warnings: list
+    finish: object
+    rho_s: np.ndarray
+    textures: dict
+
+
+def read_materials(path, groups, lamps, channels) -> Materials:
+    """materials.json, every value checked.
 
     A group never seen takes the value that was `assumed`; one without any value is black, with a warning.
     """
@@ -251,7 +277,8 @@ def read_materials(path, groups, lamps, channels):
     from lib.display import KINDS
     from lib.stage import BadInput
     content = artefact.read_json(path)
-    problems, warnings = [], []
+    problems, warnings, textures = [], [], {}
+    specular = []                    # (group, mirror or not, rho_s, alpha, tangent)
 
     def table(value, name):
         if isinstance(value, dict):
@@ -259,13 +286,14 @@ def read_materials(path, groups, lamps, channels):
         problems.append(f"{path}: {name}: {value!r} is not a table")
         return {}
 
-    def numbers(value, name, high):
-        if not isinstance(value, list) or len(value) != 3 or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in value):
-            problems.append(f"{path}: {name} = {value!r} is not three numbers")
-            return np.zeros(channels)
-        if min(value) < 0 or max(value) > high:
-            problems.append(f"{path}: {name} = {value} is outside [0, {high:g}]" if high < np.inf else f"{path}: {name} = {value} is negative")
-        return np.array(value[:channels], float)
+    def numbers(value, name, low, high, n=3):
+        if not isinstance(value, list) or len(value) != n or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in value):
+            problems.append(f"{path}: {name} = {value!r} is not {'three' if n == 3 else 'two'} numbers")
+            return np.ones(n)
+        if min(value) < low or max(value) > high:
+            inside = f"[{low:g}, {high:g}]"
+            problems.append(f"{path}: {name} = {value} is outside {inside}" if high < np.inf else f"{path}: {name} = {value} is negative")
+        return np.array(value, float)
 
     content = table(content, "content")
     entries, lit = table(content.get("groups"), "groups"), table(content.get("lamps"), "lamps")
@@ -276,8 +304,16 @@ def read_materials(path, groups, lamps, channels):
                 problems.append(f"{path}: group {name!r}: missing")
             continue
         entry = table(entries[name], f"group {name!r}")
-        if entry.get("kind") not in ("diffuse", None):
-            problems.append(f"{path}: group {name!r}: kind = {entry['kind']!r} cannot be rendered yet")
+        kind = entry.get("kind")
+        if kind not in ("diffuse", "mirror", "coloured_mirror", "glossy", "textured", None):
+            problems.append(f"{path}: group {name!r}: kind = {kind!r} cannot be rendered")
+        if kind in ("mirror", "coloured_mirror", "glossy"):
+            s = numbers(entry.get("rho_s"), f"group {name!r}: rho_s", 0, 1)
+            alpha = numbers(entry.get("alpha"), f"group {name!r}: alpha", 1e-4, 2, 2) if kind == "glossy" else np.zeros(2)
+            tangent = numbers(entry["tangent"], f"group {name!r}: tangent", -1, 1) if kind == "glossy" and entry.get("tangent") is not None else np.zeros(3)
+            specular.append((g, kind != "glossy", s[:channels], alpha, tangent))
+        if kind == "textured" and entry.get("texture") is not None:
+            textures |= table(entry["texture"], f"group {name!r}: texture")
         key = "rho_d" if entry.get("rho_d") is not None else "assumed"
         value = entry.get(key)
         if isinstance(value, dict):
@@ -286,15 +322,15 @@ def read_materials(path, groups, lamps, channels):
             if name not in lamps:
                 warnings.append(f"group {name!r} has no reflectance, measured or assumed: it is rendered black")
             continue
-        rho[g] = numbers(value, f"group {name!r}: {key}", 1)
+        rho[g] = numbers(value, f"group {name!r}: {key}", 0, 1)[:channels]
     for k, name in enumerate(lamps):
         if name not in lit:
             problems.append(f"{path}: lamp {name!r}: missing")
             continue
         lamp = table(lit[name], f"lamp {name!r}")
-        E[k] = numbers(lamp.get("emittance"), f"lamp {name!r}: emittance", np.inf)
+        E[k] = numbers(lamp.get("emittance"), f"lamp {name!r}: emittance", 0, np.inf)[:channels]
         if lamp.get("rho_d") is not None:                  # a lamp that is a reference too reflects that much
-            rho[groups.index(name)] = numbers(lamp["rho_d"], f"lamp {name!r}: rho_d", 1)
+            rho[groups.index(name)] = numbers(lamp["rho_d"], f"lamp {name!r}: rho_d", 0, 1)[:channels]
     transfer = table(content.get("transfer"), "transfer")
     kind, gamma = transfer.get("kind"), transfer.get("gamma", 1.0)
     if kind not in KINDS:
@@ -303,50 +339,130 @@ def read_materials(path, groups, lamps, channels):
         problems.append(f"{path}: transfer: gamma = {gamma!r} is not a positive number")
     if problems:
         raise BadInput(*problems)
-    return rho, E, kind, float(gamma) if kind == "gamma" else 1.0, warnings
+    finish = rho_s = None
+    if specular:
+        from lib.specular import GLOSSY, MIRROR, Finish
+        group, mirror, rho_s, alpha, tangent = zip(*specular)
+        finish = Finish(group, np.where(mirror, MIRROR, GLOSSY), np.array(alpha), np.array(tangent))
+        rho_s = np.array(rho_s)
+    return Materials(rho, E, kind, float(gamma) if kind == "gamma" else 1.0, warnings, finish, rho_s, textures)
 
 
-def render(scene: Scene, *, n_rays=256, shadow_rays=64, contact=0.35, tolerance=0.01, timing=None, trace=None) -> Picture:
+def read_textures(materials, files, n_facets, channels) -> dict:
+    """{facet: lib.textures.Texture} of the files that materials.json names, relative to its folder."""
+    if not files:
+        return {}
+    from pathlib import Path
+    from lib import textures
+    from lib.stage import BadInput
+    found = {}
+    for facet, file in files.items():
+        path = Path(materials).parent / str(file)
+        if not facet.isdigit() or int(facet) >= n_facets:
+            raise BadInput(f"{materials}: texture: facet {facet!r} is not in the model, which has {n_facets}")
+        if not path.is_file():
+            raise BadInput(f"{materials}: texture: facet {facet}: {path} is not there")
+        texture = textures.read(path)
+        if texture.albedo.shape[2] != channels:
+            raise BadInput(f"{path}: channels: {texture.albedo.shape[2]} are not the photograph's {channels}")
+        found[int(facet)] = texture
+    return found
+
+
+@dataclass
+class Lighting:
+    """A scene's balanced light, ready to be looked at from anywhere. lamps : plain and mirrored Emitters;  E : (their number, C)
+    shown : illumination.Texture;  chains, ways : of lib.specular, None where nothing is specular"""
+    light: Light
+    lamps: list
+    E: np.ndarray
+    shown: illumination.Texture
+    ways: object = None
+
+
+def lighting(surface, factors, finish, rho_s, rho, E, lamp_groups, timing) -> Lighting:
+    """The balance of the patches and the texture of what rays see; with the light's specular ways where there are any."""
+    mesh, exposed = factors.mesh, factors.rows.exposed
+    lamps = form_factors.emitters(surface, factors.lamps)
+    front = mesh.side % 2 == 0
+    with timing("balance"):
+        sub = factors.subcell()
+        F = (factors.rows.matrix() @ sub).tocsr()
+        dense = lambda A: A.toarray() if len(mesh) <= 6000 else A
+        if finish is None:
+            light = balance(dense(F), factors.lamp_factor, factors.patch_group, mesh.area, exposed, rho, E, lamp_groups, front)
+            indirect, ways, every, E_every = light.indirect, None, lamps, E
+        else:
+            from lib import specular
+            chains = specular.Chains(len(finish))
+            way = specular.transport(surface, mesh, finish, chains, lamps, len(E))
+            power = chains.power(rho_s)
+            C = E.shape[1]
+            parts = {k: A @ sub for k, A in way.F.items()}
+            Fs = [dense(sum((A * power[k, c] for k, A in parts.items()), F).tocsr()) for c in range(C)]
+            Ds = [sum((D * power[k, c] for k, D in way.D.items()), factors.lamp_factor) for c in range(C)]
+            mirrored = np.zeros_like(rho)
+            mirrored[list(finish.groups)] = rho_s
+            light = balance(Fs, Ds, factors.patch_group, mesh.area, exposed, rho, E, lamp_groups, front, reach=F @ np.ones(F.shape[1], np.float32), mirrored=mirrored)
+            # mirrored lamps are lamps of their own in the picture; what lobes bring of the lamps is indirect light
+            E_mirrored = np.array([E[lamp.lamp] * power[k] for lamp, k in zip(way.mirrored, way.way)]).reshape(-1, C)
+            every = lamps + [replace(lamp, lamp=len(E) + k) for k, lamp in enumerate(way.mirrored)]
+            E_every = np.vstack([E, E_mirrored])
+            direct = factors.lamp_factor @ E + way.D_mirrored @ E_mirrored
+            whole = np.stack([Ds[c] @ E[:, c] + Fs[c] @ light.reflected[:, c] for c in range(C)], axis=1)
+            indirect = whole - direct
+            ways = specular.Ways(finish, chains, rho_s, lamps, E, way.by_rays)
+    with timing("texture"):
+        shown = illumination.texture(surface, mesh, every, E_every, indirect, exposed, rho[surface.group], ways=ways)
+    return Lighting(light, every, E_every, shown, ways)
+
+
+def render(scene: Scene, *, n_rays=256, shadow_rays=64, contact=0.35, tolerance=0.01, lobe_rays=64, timing=None, trace=None) -> Picture:
     """The linear picture of the scene.
 
     n_rays : gathering rays at each place;  shadow_rays : per pixel and lamp in a penumbra;  contact, tolerance : see `gather`
-    timing : context manager by label;  trace : called with the state of each refinement
+    lobe_rays : per pixel of a glossy surface;  timing : context manager by label;  trace : called with the state of each refinement
     """
     import contextlib
     timing = timing or (lambda label: contextlib.nullcontext())
-    surface, factors = scene.surface, scene.factors
-    mesh, lamp_groups, exposed = factors.mesh, scene.lamp_groups, factors.rows.exposed
-    rho, E = scene.rho, scene.E
-    with timing("balance"):
-        F = (factors.rows.matrix() @ factors.subcell()).tocsr()
-        F = F.toarray() if len(mesh) <= 6000 else F
-        light = balance(F, factors.lamp_factor, factors.patch_group, mesh.area, exposed, rho, E, lamp_groups, mesh.side % 2 == 0)
-    with timing("texture"):
-        lamps = form_factors.emitters(surface, factors.lamps)
-        shown = illumination.texture(surface, mesh, lamps, E, light.indirect, exposed, rho[surface.group])
+    surface, lamp_groups = scene.surface, scene.lamp_groups
+    rho, E, size = scene.rho, scene.E, scene.facet.shape
+    lit = lighting(surface, scene.factors, scene.finish, scene.rho_s, rho, E, lamp_groups, timing)
+    light, lamps, shown = lit.light, lit.lamps, lit.shown
+    emitted = lambda irradiance, facet, side, p: radiosities(irradiance, surface, facet, side, rho, E, lamp_groups, p, scene.textures)
     with timing("direct"):
         seen = illumination.pixels(surface, scene.camera, scene.facet)
-        factor, penumbra = illumination.direct(surface, lamps, len(E), seen, scene.camera, many=shadow_rays)
-        irradiance = factor @ E
+        factor, penumbra = illumination.direct(surface, lamps, len(lit.E), seen, scene.camera, many=shadow_rays)
+        irradiance = factor @ lit.E
     with timing("indirect"):
-        leaves = illumination.gather(surface, shown, lamps, E, seen, irradiance, n_rays=n_rays, contact=contact, tolerance=tolerance, trace=trace)
+        leaves = illumination.gather(surface, shown, lamps, lit.E, seen, irradiance, n_rays=n_rays, contact=contact, tolerance=tolerance, trace=trace)
         indirect = illumination.interpolated(leaves, seen)
+    B = emitted(irradiance + indirect, seen.facet, seen.side, seen.p)
+    reflections = None
+    if scene.finish is not None:
+        from lib import reflections as reflected
+        with timing("reflections"):
+            reflections = reflected.picture(scene, lit, emitted, n_rays=n_rays, shadow_rays=shadow_rays, contact=contact, tolerance=tolerance, lobe_rays=lobe_rays)
+            B += reflections.linear[seen.y, seen.x]
     with timing("antialias"):
-        size = scene.facet.shape
         pieces = illumination.fragments(surface, scene.camera, scene.coverage)
         by_lamps, between = np.zeros((*size, scene.channels)), np.zeros((*size, scene.channels))
         by_lamps[seen.y, seen.x], between[seen.y, seen.x] = irradiance, indirect
-        direct_there = illumination.fragment_direct(surface, lamps, len(E), pieces) @ E
+        direct_there = illumination.fragment_direct(surface, lamps, len(lit.E), pieces) @ lit.E
         unseen = np.flatnonzero(~pieces.seen)
         direct_there[unseen] = illumination.beside(by_lamps, scene.facet, pieces)[0][unseen]
         indirect_there, found = illumination.beside(between, scene.facet, pieces)
         thin = np.flatnonzero(~found)
         indirect_there[thin] = illumination.looked_up(shown.between, shown, surface, pieces.p[thin], pieces.side[thin])
-        linear = compose(size, seen, radiosities(irradiance + indirect, surface, seen.facet, seen.side, rho, E, lamp_groups),
-                         pieces, radiosities(direct_there + indirect_there, surface, pieces.facet, pieces.side, rho, E, lamp_groups))
+        B_there = emitted(direct_there + indirect_there, pieces.facet, pieces.side, pieces.p)
+        if reflections is not None:
+            B_there += reflected.of_fragments(scene, lit, pieces, reflections)
+        linear = compose(size, seen, B, pieces, B_there)
     facts = {"iterations": light.iterations, "residual": light.residual, "penumbra_pixels": penumbra, "places": len(leaves),
              "gathering_rays": leaves.rays.sum(), "texels": len(shown.value),
              "flux": {"emitted": light.emitted, "absorbed": light.absorbed, "escaped": light.escaped}}
+    if reflections is not None:
+        facts["reflections"] = reflections.facts
     return Picture(linear, light, seen, pieces, facts)
 
 

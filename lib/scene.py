@@ -259,8 +259,6 @@ def _surfaces(value):
     for name, kind in (yield from _mapping("surfaces", value)).items():
         if not isinstance(kind, str) or kind not in KINDS:
             yield f"surfaces.{name}", kind, f"is none of {', '.join(KINDS)}"
-        elif kind != "diffuse":
-            yield f"surfaces.{name}", kind, "is not built yet; built is diffuse"
 
 
 def _goals(value, known, scene):

@@ -7,7 +7,8 @@
 reads   gather        the light of each tile of trusted pixels
         formfactors   the balance between the patches
         lamps         emittance per channel, or "unknown"; reference: known reflectances
-writes  materials     per group: rho_d with sigma; lamps; transfer function
+        audit         the light of all pixels: whether a group is diffuse; and model, camera, photograph, facet, read only if one is not
+writes  materials     per group: its kind, rho_d, rho_s, alpha, tangent with sigma; lamps; transfer function
 """
 import argparse
 import os
@@ -22,6 +23,8 @@ def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("gather", "formfactors", "materials"):
         parser.add_argument(f"--{name}", required=True)
+    for name in ("audit", "model", "camera", "photograph", "facet"):
+        parser.add_argument(f"--{name}", help="of all five; without them every group is diffuse" if name == "audit" else None)
     parser.add_argument("--report")
     parser.add_argument("--lamps", type=stage.json_option, required=True)
     parser.add_argument("--reference", type=stage.json_option, default={})
@@ -29,6 +32,7 @@ def options():
     parser.add_argument("--surfaces", type=stage.json_option, default={})
     parser.add_argument("--method", choices=["gauss-newton", "paper", "damped"], default="gauss-newton")
     parser.add_argument("--gamma", type=float, default=2.2, help="where an unknown gamma starts")
+    parser.add_argument("--threshold", type=float, default=0.0125, help="display RMSE beyond noise that a group may keep before it climbs the ladder")
     parser.add_argument("--max-iterations", type=int, default=40)
     parser.add_argument("--tolerance", type=float, default=1e-5, help="largest relative change of a value in the last step")
     return parser
@@ -47,14 +51,16 @@ def main(opt):
             factors = form_factors.read(opt.formfactors)
             gathered = gather.read(opt.gather)
             problem = materials.problem(factors, gathered, lamps=opt.lamps, reference=opt.reference, transfer=opt.transfer)
+        climb = None
         trace = lambda iteration, image_rmse, state: report.trace(iteration=iteration, image_rmse=image_rmse, gamma=state.gamma)
         with report.timing("fit"):
             if opt.method == "gauss-newton":
                 result, scale = reflectance.fit(problem, gamma=opt.gamma, max_iterations=opt.max_iterations, tolerance=opt.tolerance, trace=trace)
+                problem, result, scale, climb = climbed(opt, report, problem, result, scale, factors, gathered)
             else:
                 result = reflectance.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
                 scale = reflectance.scale(problem)
-        found = materials.describe(problem, result, gathered, scale=scale, transfer=opt.transfer)
+        found = materials.describe(problem, result, gathered, scale=scale, transfer=opt.transfer, climb=climb)
         report.status = found["status"]
         report["scale"], report["iterations"] = scale, result.iterations
         report["uncertainty"], report["misfit"] = result.shares, result.misfit
@@ -63,6 +69,28 @@ def main(opt):
         report.error("image.rmse", found["image"]["rmse"], unit="display", against="the photograph's tiles")
         report.error("balance.residual", result.residual, unit="1", against="eq. 3.2")
         artefact.write_json(opt.materials, found)
+
+
+def climbed(opt, report, problem, result, scale, factors, gathered):
+    """The ladder: nothing but an audit where every group is diffuse."""
+    from lib import cameras, gather, image, ladder, mesh as meshes, model as models
+    if not all((opt.audit, opt.model, opt.camera, opt.photograph, opt.facet)) or len(problem.tile_group) == 0:
+        return problem, result, scale, None
+    audit = gather.read(opt.audit)
+    given = {problem.groups.index(name): kind for name, kind in opt.surfaces.items()}
+    misfits = ladder.audit(factors.subcell(), problem, result, ladder.unplaced(audit))
+    report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": {problem.groups[g]: m.excess for g, m in misfits.items()}, "rays": {}, "rounds": 0}
+    if not ladder.flagged(problem, misfits, given, opt.threshold):
+        return problem, result, scale, None
+    model = models.load(opt.model)
+    site = ladder.site(meshes.surface(model, factors.lamps), factors, cameras.read_cameramodel(opt.camera), image.read_photograph(opt.photograph),
+                       image.read_labels(opt.facet) - 1, problem, gathered, audit)
+    climb = ladder.climb(site, result, scale, given=given, threshold=opt.threshold,
+                         trace=lambda c: report.trace(round=c.rounds, image_rmse=c.result.rmse, gamma=c.result.state.gamma),
+                         options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})
+    summary |= {"rays": site.spent, "rounds": climb.rounds, "end": {problem.groups[g]: m.excess for g, m in climb.misfits.items()},
+                "rungs": {problem.groups[g]: p.rung for g, p in climb.places.items() if p.rung != "diffuse"}}
+    return climb.problem, climb.result, climb.scale, climb
 
 
 if __name__ == "__main__":

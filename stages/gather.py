@@ -6,6 +6,7 @@
 
 reads   model, camera, photograph, facet, trusted (only pixels of value 255 are used), formfactors
 writes  gather        tiles: pixels, lamp factors with shadows, rows of form factors to the patches
+        audit         the same, coarser, of every pixel that shows one facet: where the error tells whether a surface is diffuse
 """
 import argparse
 import sys
@@ -19,6 +20,7 @@ def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("model", "camera", "photograph", "facet", "trusted", "formfactors", "gather"):
         parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--audit")
     parser.add_argument("--report")
     parser.add_argument("--rays-per-tile", type=int, default=512, help="at least so many rays from each tile")
     parser.add_argument("--rays-per-facet", type=int, default=32768, help="and so many from each facet")
@@ -64,14 +66,23 @@ def main(opt):
         with report.timing("gather"):
             tiles = gather.build(surface, factors.mesh, camera, facet, used, lamps, len(factors.lamps),
                                  rays_per_tile=opt.rays_per_tile, rays_per_facet=opt.rays_per_facet, lamp_samples=opt.lamp_samples)
-        values = photograph.values.reshape(-1, photograph.values.shape[2])[tiles.pixel]
         visible = np.bincount(surface.group[facet[shown]], minlength=len(model.groups))
         report["tiles"], report["pixels"], report["rays"] = len(tiles), len(tiles.pixel), int(tiles.rows.shot.sum())
         if len(tiles) == 0:
             report.status = "nothing seen"
             report.warning(f"{opt.trusted}: no trusted pixel shows the model: nothing can be fitted")
-        gather.write(opt.gather, gather.Gathered(tiles, values, surface.group[tiles.facet], surface.object[tiles.facet], visible,
-                                                 photograph.linear, photograph.channels_in_file))
+        def gathered(tiles):
+            values = photograph.values.reshape(-1, photograph.values.shape[2])[tiles.pixel]
+            return gather.Gathered(tiles, values, surface.group[tiles.facet], surface.object[tiles.facet], visible, photograph.linear, photograph.channels_in_file)
+
+        if opt.audit:
+            with report.timing("audit"):
+                pure = gather.pure(photograph, facet) & ~lamp[facet]
+                audit = gather.build(surface, factors.mesh, camera, facet, pure, lamps, len(factors.lamps), rays_per_tile=128, rays_per_facet=0,
+                                     lamp_samples=1, tiles_per_facet=60, seed=77)
+            report["audited"] = len(audit.pixel)
+            gather.write(opt.audit, gathered(audit))
+        gather.write(opt.gather, gathered(tiles))
 
 
 if __name__ == "__main__":

@@ -47,7 +47,10 @@ def main(opt):
         channels = image.read_photograph(opt.photograph).values.shape[2]
         if facet.shape != (camera.height, camera.width):
             raise stage.BadInput(f"{opt.facet}: size: {facet.shape[1]} x {facet.shape[0]} is not the camera's {camera.width} x {camera.height} ({opt.camera})")
-        rho, lamps, kind, gamma, _ = rendering.read_materials(opt.materials, factors.groups, factors.lamps, channels)
+        found = rendering.read_materials(opt.materials, factors.groups, factors.lamps, channels)
+        rho, lamps, kind, gamma = found.rho, found.E, found.kind, found.gamma
+        if found.finish is not None:
+            report.warning(f"{opt.materials}: mirrors and glossy surfaces are left out: this stage shows how diffuse light spreads")
         surface = mesh.surface(model, factors.lamps)
         with report.timing("canvas"):
             canvas = gouraud.Canvas(surface, factors.mesh, camera, facet)

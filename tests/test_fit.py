@@ -76,7 +76,7 @@ def test_derivatives_against_finite_differences():
     problem, rho, _ = made(COLOURS, given_E=False)
     layout = reflectance._layout(problem)
     light = reflectance.Light(problem)
-    light.F = problem.F.toarray().astype(float)
+    light.ways.F = [problem.F.toarray().astype(float)]
     E = np.full((1, 3), 1.3)
     at = reflectance._Equations(problem, light, layout, rho, E, 2.1)
     light.derivative = None

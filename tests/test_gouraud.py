@@ -36,7 +36,8 @@ def spread(made, name, *more):
 def test_every_solver_draws_the_same_end(made):
     from lib import form_factors, gouraud, rendering
     factors = form_factors.read(made / "f.npz")
-    rho, lamps, *_ = rendering.read_materials(str(SCENE / "truth" / "materials.json"), factors.groups, factors.lamps, 1)
+    found = rendering.read_materials(str(SCENE / "truth" / "materials.json"), factors.groups, factors.lamps, 1)
+    rho, lamps = found.rho, found.E
     exact = gouraud.solve(factors, rho, lamps, method="direct", tolerance=1e-9).B
     for method in ("krylov", "gauss_seidel", "jacobi", "southwell"):
         B = gouraud.solve(factors, rho, lamps, method=method, tolerance=1e-6).B

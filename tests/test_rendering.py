@@ -246,14 +246,15 @@ MATERIALS = {"groups": {"wall": {"kind": "diffuse", "rho_d": [0.5, 0.4, 0.3]}, "
 def test_materials_are_read(tmp_path):
     path = tmp_path / "materials.json"
     path.write_text(json.dumps(MATERIALS))
-    rho, E, kind, gamma, warnings = rendering.read_materials(path, ("wall", "shelf", "attic", "lamp"), ("lamp",), 3)
-    assert rho.tolist() == [[0.5, 0.4, 0.3], [0.2] * 3, [0] * 3, [0] * 3] and E.tolist() == [[4] * 3] and (kind, gamma) == ("gamma", 2.0)
-    assert len(warnings) == 1 and "attic" in warnings[0]
+    found = rendering.read_materials(path, ("wall", "shelf", "attic", "lamp"), ("lamp",), 3)
+    assert found.rho.tolist() == [[0.5, 0.4, 0.3], [0.2] * 3, [0] * 3, [0] * 3] and found.E.tolist() == [[4] * 3] and (found.kind, found.gamma) == ("gamma", 2.0)
+    assert len(found.warnings) == 1 and "attic" in found.warnings[0] and found.finish is None
 
 
 @pytest.mark.parametrize("change, word", [({"groups": {}}, "missing"), ({"transfer": {"kind": "curve"}}, "curve"), ({"lamps": {}}, "lamp"),
                                           ({"groups": MATERIALS["groups"] | {"wall": {"rho_d": [1.2, 0, 0]}}}, "1.2"),
-                                          ({"groups": MATERIALS["groups"] | {"wall": {"kind": "mirror"}}}, "mirror"),
+                                          ({"groups": MATERIALS["groups"] | {"wall": {"kind": "mirror"}}}, "rho_s"),
+                                          ({"groups": MATERIALS["groups"] | {"wall": {"kind": "velvet"}}}, "velvet"),
                                           ({"transfer": {"kind": "gamma", "gamma": -1}}, "-1")])
 def test_materials_are_checked(tmp_path, change, word):
     path = tmp_path / "materials.json"

@@ -1,0 +1,778 @@
+"""The reflectance ladder (section 4.5): each group climbs only as far as its error demands.
+
+    diffuse -> perfect mirror -> coloured mirror -> glossy (Ward) -> anisotropic -> textured
+
+`climb` starts from the fit in which everything is diffuse and asks, group by group, whether the photograph agrees with it
+to the threshold or the noise. Of the groups that do not, each is tried on the next rungs in the light found so far: as a
+mirror by what its virtual viewpoint shows, as a glossy surface by the light in its lobe. The group whose error a rung
+explains best climbs; then everything is fitted anew, all reflectances, lobes, lamps and gamma together, with the light
+that now goes by way of that surface, and the question is asked again: a bright patch on the floor was perhaps only the
+mirror's. What no rung explains is a texture.
+
+A rung must be worth its parameters: among those that explain about equally well the lowest is taken, and one that gains
+less than an information criterion asks for is not taken at all: noise never makes a wall glossy.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lib import form_factors, gather, reflectance
+from lib.reflectance import Problem, Specular
+from lib.transfer import Tiles as Pixels
+
+RUNGS = ("diffuse", "mirror", "coloured_mirror", "glossy", "anisotropic", "textured")
+THRESHOLD = 0.006            # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
+ENOUGH = 12                  # tiles of a group without which it is not judged
+ALPHAS = (0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.32, 0.5)
+LOWEST, HIGHEST = 0.004, 1.0     # alphas that are looked for
+TURNS = 6                    # directions that the search for an anisotropic lobe begins with
+
+
+# -- what the camera receives, as tiles
+
+@dataclass
+class Receivers:
+    """Tiles of the photograph (T) with their pixels (M), where those lie, and the light that reaches them.
+
+    facet, group, object, chain : (T,) of the diffuse facet that is shown in the end, and the mirrors on the way
+    start : (T + 1,);  pixel : (M,) flat;  values : (M, C) display;  p : (M, 3) local;  side : (M,);  direction : (M, 3) of the view
+    direct : (T, L);  rows : form_factors.Rows;  lobe : (T,) specular group whose lobe it shows, -1;  fit : (T,) used by the fit
+    """
+    facet: np.ndarray
+    group: np.ndarray
+    object: np.ndarray
+    chain: np.ndarray
+    start: np.ndarray
+    pixel: np.ndarray
+    values: np.ndarray
+    p: np.ndarray
+    side: np.ndarray
+    direction: np.ndarray
+    direct: np.ndarray
+    rows: form_factors.Rows
+    lobe: np.ndarray
+    fit: np.ndarray
+
+    def __len__(self):
+        return len(self.facet)
+
+    @property
+    def n_pixels(self):
+        return np.diff(self.start)
+
+    def take(self, which):
+        """The tiles numbered `which`."""
+        n = self.n_pixels[which]
+        at = np.repeat(self.start[which] - np.concatenate([[0], np.cumsum(n)[:-1]]), n) + np.arange(int(n.sum()))
+        return Receivers(*(getattr(self, name)[which] for name in ("facet", "group", "object", "chain")), np.concatenate([[0], np.cumsum(n)]),
+                         *(getattr(self, name)[at] for name in ("pixel", "values", "p", "side", "direction")), self.direct[which], _rows_of(self.rows, which),
+                         self.lobe[which], self.fit[which])
+
+    @staticmethod
+    def joined(parts):
+        parts = [part for part in parts if len(part)]
+        cat = lambda name: np.concatenate([getattr(part, name) for part in parts])
+        start = np.concatenate([[0], np.cumsum(np.concatenate([part.n_pixels for part in parts]))])
+        rows = [part.rows for part in parts]
+        names = ("indices", "count", "half", "valid", "valid_half", "shot", "lost")
+        joined = form_factors.Rows(indptr=np.concatenate([[0], np.cumsum(np.concatenate([np.diff(r.indptr) for r in rows]))]), columns=rows[0].columns,
+                                   **{name: np.concatenate([getattr(r, name) for r in rows]) for name in names})
+        return Receivers(cat("facet"), cat("group"), cat("object"), cat("chain"), start, cat("pixel"), cat("values"), cat("p"), cat("side"), cat("direction"),
+                         cat("direct"), joined, cat("lobe"), cat("fit"))
+
+
+def _rows_of(rows, which):
+    n = np.diff(rows.indptr)[which]
+    at = np.repeat(rows.indptr[which] - np.concatenate([[0], np.cumsum(n)[:-1]]), n) + np.arange(int(n.sum()))
+    return form_factors.Rows(np.concatenate([[0], np.cumsum(n)]), rows.indices[at], rows.count[at], rows.half[at], rows.valid[which], rows.valid_half[which],
+                             rows.shot[which], rows.lost[which], rows.columns)
+
+
+@dataclass
+class Site:
+    """What stays the same while the ladder is climbed: geometry, camera, photograph, and the light of the diffuse fit."""
+    surface: object
+    factors: form_factors.Factors
+    camera: object
+    photograph: object
+    facet: np.ndarray            # (H, W) int, -1 = nothing
+    base: Problem                # everything diffuse
+    base_tiles: Receivers        # trusted ones and those for the audit
+    progress: object = None
+    spent: dict = field(default_factory=dict)        # rays by what they were for
+
+    @property
+    def mesh(self):
+        return self.factors.mesh
+
+    @property
+    def n_lamps(self):
+        return len(self.factors.lamps)
+
+    def __post_init__(self):
+        self.lamps = form_factors.emitters(self.surface, self.factors.lamps)
+        self.subcell = self.factors.subcell()
+        self.normals = form_factors.side_normals(self.surface)
+        self.pure = gather.pure(self.photograph, self.facet)
+        self._patches = {}
+
+    def note(self, what, number):
+        self.spent[what] = self.spent.get(what, 0) + int(number)
+
+
+def site(surface, factors, camera, photograph, facet, problem, gathered, audit) -> Site:
+    """gathered, audit : gather.Gathered of the trusted pixels and of all."""
+    parts = []
+    for g, fit in ((gathered, True), (audit, False)):
+        t = g.tiles
+        p, side = gather.backproject(surface, camera, np.repeat(t.facet, np.diff(t.start)), t.pixel)
+        direction = _directions(camera, t.pixel)
+        parts.append(Receivers(t.facet, g.group, g.object, np.zeros(len(t), np.int32), t.start, t.pixel, g.pixels, p, side, direction, t.direct, t.rows,
+                               np.full(len(t), -1, np.int32), np.full(len(t), fit)))
+    return Site(surface, factors, camera, photograph, facet, problem, Receivers.joined(parts))
+
+
+def unplaced(gathered, fit=False) -> Receivers:
+    """Gathered tiles without the places of their pixels: enough for an audit of diffuse groups."""
+    t, none = gathered.tiles, np.zeros((0, 3))
+    return Receivers(t.facet, gathered.group, gathered.object, np.zeros(len(t), np.int32), t.start, t.pixel, gathered.pixels, none, np.zeros(0, np.int32), none,
+                     t.direct, t.rows, np.full(len(t), -1, np.int32), np.full(len(t), fit))
+
+
+def _directions(camera, pixel):
+    v = camera.rays(np.stack([pixel % camera.width, pixel // camera.width], axis=1).astype(float))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def shown(site, finish, chains, groups):
+    """What every pixel of these groups shows in the end: lib.specular.View with flat index `pixel`, and which of them are pure
+    there too: all neighbours show the same facet by the same way."""
+    from lib import specular
+    from lib.index_buffer import boundary
+    H, W = site.facet.shape
+    pixel = np.flatnonzero((site.facet >= 0).reshape(-1) & np.isin(site.surface.group[site.facet.reshape(-1)], groups))
+    origin = np.broadcast_to(site.surface.local.points(site.camera.centre), (len(pixel), 3))
+    rays = np.hstack([origin, _directions(site.camera, pixel)]).astype(np.float32)
+    view = specular.through_mirrors(site.surface, finish, chains, rays)
+    site.note("camera rays to mirrors", len(pixel))
+    label = np.full(H * W, -1, np.int64)
+    label[pixel] = np.where(view.facet >= 0, view.facet + view.chain.astype(np.int64) * len(site.surface.normal), -1)
+    dense = np.unique(label, return_inverse=True)[1].reshape(H, W)
+    pure = ~boundary(dense).reshape(-1)[pixel] & (view.facet >= 0) & site.pure.reshape(-1)[pixel]
+    return pixel, view, pure
+
+
+def receivers(site, pixel, facet, side, p, direction, chain, lobe, *, rays, largest, smallest, per_facet, seed) -> Receivers:
+    """New tiles of these pixels (n,), of one facet and chain each; lobe : (n,) specular group, -1."""
+    H, W = site.facet.shape
+    label = np.full(H * W, -1, np.int64)
+    names, label[pixel] = np.unique(facet + chain.astype(np.int64) * len(site.surface.normal), return_inverse=True)
+    used = np.zeros(H * W, bool)
+    used[pixel] = True
+    tile, start, at = gather.blocks(label.reshape(H, W), used.reshape(H, W), largest=largest, smallest=smallest, tiles_per_facet=per_facet)
+    where = np.empty(H * W, np.int64)
+    where[pixel] = np.arange(len(pixel))
+    i = where[at]
+    first = i[start[:-1]]
+    p, side, direction = p[i], side[i].astype(np.int32), direction[i]
+    direct = form_factors.direct(site.surface, site.lamps, p, site.normals, side, site.n_lamps, n_samples=4, start=start, seed=seed)
+    n_rays = np.full(len(first), rays)
+    rows = form_factors.gather(site.surface, site.mesh, p, start, side[start[:-1]], n_rays, seed=seed)
+    site.note("gathering rays", n_rays.sum())
+    f = facet[first].astype(np.int32)
+    values = site.photograph.values.reshape(H * W, -1)[at]
+    return Receivers(f, site.surface.group[f], site.surface.object[f], chain[first].astype(np.int32), start, at, values, p, side, direction, direct, rows,
+                     lobe[first].astype(np.int32), np.ones(len(f), bool))
+
+
+# -- the problem at given finishes
+
+def _tiles_of(site, finish, chains, *, rays=512):
+    """All tiles where the groups of `finish` are specular: those of other groups stay, theirs are made anew."""
+    from lib import specular
+    surface = site.surface
+    mirrors = [g for g, k in zip(finish.groups, finish.kind) if k == specular.MIRROR]
+    glossy = [g for g, k in zip(finish.groups, finish.kind) if k == specular.GLOSSY]
+    number = np.full(len(surface.groups), -1, np.int32)
+    number[list(finish.groups)] = np.arange(len(finish))
+    parts = [site.base_tiles.take(np.flatnonzero(~np.isin(site.base_tiles.group, finish.groups)))]
+    lamp = np.isin(surface.group, [surface.groups.index(name) for name in site.factors.lamps])
+    if mirrors:
+        pixel, view, pure = shown(site, finish, chains, mirrors)
+        good = np.flatnonzero(pure & ~lamp[view.facet])
+        is_glossy = np.isin(surface.group[view.facet[good]], glossy)
+        for mine, block in ((good[~is_glossy], dict(largest=20, smallest=4, per_facet=24)), (good[is_glossy], dict(largest=8, smallest=3, per_facet=300))):
+            if len(mine):
+                g = surface.group[view.facet[mine]]
+                parts.append(receivers(site, pixel[mine], view.facet[mine], view.side[mine], view.p[mine], view.direction[mine], view.chain[mine],
+                                       np.where(np.isin(g, glossy), number[g], -1), rays=rays, seed=31, **block))
+    if glossy:
+        pixel = np.flatnonzero(site.pure.reshape(-1) & np.isin(surface.group[site.facet.reshape(-1)], glossy))
+        if len(pixel):
+            f = site.facet.reshape(-1)[pixel].astype(np.int32)
+            p, side = gather.backproject(surface, site.camera, f, pixel)
+            parts.append(receivers(site, pixel, f, side, p, _directions(site.camera, pixel), np.zeros(len(pixel), np.int32), number[surface.group[f]],
+                                   rays=rays, seed=41, largest=8, smallest=3, per_facet=400))
+    return Receivers.joined(parts)
+
+
+def lobes(site, finish, chains, tiles, *, rays=192):
+    """Rows of the tiles that show a lobe: specular.Rows over all T tiles."""
+    from lib import specular
+    which = np.flatnonzero(tiles.lobe >= 0)
+    if not len(which):
+        return specular.Rows()
+    some = tiles.take(which)
+    n = np.maximum(rays, some.n_pixels * 4)
+    ray_start = np.concatenate([[0], np.cumsum(n)]).astype(np.int64)
+    begin = specular.from_views(site.surface, ray_start, some.start, some.p, np.repeat(some.facet, some.n_pixels), some.direction, np.repeat(some.chain, some.n_pixels))
+    rows = specular.rows(site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, ray_start, begin, seed=7)
+    site.note("rays in lobes", rows.rays)
+    from scipy.sparse import csr_array
+    spread = csr_array((np.ones(len(which), np.float32), (which, np.arange(len(which)))), shape=(len(tiles), len(which)))
+    return specular.Rows({k: (spread @ F).tocsr() for k, F in rows.F.items()}, {k: spread @ D for k, D in rows.D.items()}, rows.rays, rows.lost)
+
+
+def light(site, finish, chains, tiles):
+    """The specular ways of the light to the patches and to the tiles: F, D, G, D_tile by chain, as reflectance.Specular has them."""
+    from lib import specular
+    surface, mesh = site.surface, site.mesh
+    to_patches = specular.transport(surface, mesh, finish, chains, site.lamps, site.n_lamps, n_rays=max(int(site.factors.rows.shot.max(initial=1)), 512))
+    n = np.maximum(np.minimum(tiles.rows.shot, 1024), 64)
+    ray_start, make = form_factors.from_points(surface, tiles.p, tiles.start, tiles.side[tiles.start[:-1]], n, seed=5)
+    to_tiles = specular.rows(surface, mesh, finish, chains, site.lamps, site.n_lamps, ray_start, specular.from_rays(surface, mesh, make), seed=5,
+                             by_rays=to_patches.by_rays)
+    site.note("rays by specular ways", to_patches.rays + to_tiles.rays)
+    one = [replace(lamp, lamp=k) for k, lamp in enumerate(to_patches.mirrored)]
+    if one:
+        factor = form_factors.direct(surface, one, tiles.p, site.normals, tiles.side, len(one), n_samples=4, start=tiles.start)
+        specular.add_lamps(to_tiles.D, to_patches.mirrored, to_patches.way, factor, site.n_lamps)
+        site.note("mirrored lamps", len(one))
+    corrected = lambda F: {k: (A @ site.subcell).tocsr() for k, A in F.items()}
+    return corrected(to_patches.F), to_patches.D, corrected(to_tiles.F), to_tiles.D
+
+
+SHAPES = {"alpha": (1, 1, 0), "alpha_x": (1, 0, 0), "alpha_y": (0, 1, 0), "turn": (0, 0, 1)}     # of ln alpha_x, ln alpha_y and the angle of the tangent
+
+
+def bent(finish, m, name, step, normal):
+    """The finish with one shape of group m changed by `step` (of ln alpha, or rad about the normal)."""
+    x, y, turn = SHAPES[name]
+    alpha, tangent = np.array(finish.alpha, float), np.array(finish.tangent, float)
+    alpha[m] = np.clip(alpha[m] * np.exp(np.array([x, y]) * step), LOWEST / 4, 2 * HIGHEST)
+    if turn:
+        t = tangent[m] - (tangent[m] @ normal) * normal
+        t /= np.linalg.norm(t)
+        tangent[m] = np.cos(step) * t + np.sin(step) * np.cross(normal, t)
+    return replace(finish, alpha=alpha, tangent=tangent)
+
+
+def bends(site, finish, chains, tiles, shapes, *, step=0.03):
+    """Derivatives of the lobes with respect to shapes [(m, name)], by central differences over the same random numbers."""
+    result = []
+    for m, name in shapes:
+        some = np.flatnonzero(tiles.lobe == m)
+        if not len(some):
+            continue
+        normal = main_normal(site.surface, finish.groups[m])
+        mine = replace(tiles, lobe=np.where(tiles.lobe == m, m, -1))
+        there, back = (lobes(site, bent(finish, m, name, sign * step, normal), chains, mine) for sign in (1, -1))
+        difference = lambda a, b: {k: (a.get(k, 0) - b[k] if k in b else a[k]) * (0.5 / step) if k in a else b[k] * (-0.5 / step) for k in {*a, *b}}
+        result.append((m, name, difference(there.F, back.F), difference(there.D, back.D), -0.35, 0.35))
+    return result
+
+
+def main_normal(surface, group):
+    """Of the group's largest facet: about it the tangent turns."""
+    f = np.flatnonzero(surface.group == group)
+    return surface.normal[f[np.argmax(surface.size[f].prod(axis=1))]]
+
+
+def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=None) -> Problem:
+    """The inverse problem of the tiles that take part in the fit. rho_s : (M, C), NaN where free"""
+    base, some = site.base, np.flatnonzero(tiles.fit)
+    t = tiles.take(some)
+    F, D, G, D_tile = transport
+    rows = lobes(site, finish, chains, t)
+    seen = lambda half=None: (t.rows.matrix(half) @ site.subcell).tocsr()
+    spec = Specular(finish.groups, chains, F, D, {k: A[some] for k, A in G.items()}, {k: A[some] for k, A in D_tile.items()}, t.chain, rows.F, rows.D,
+                    rho_s, bends(site, finish, chains, t, shapes))
+    return replace(base, G=seen(), G_plain=t.rows.matrix(), D_tile=t.direct, tile_group=t.group, tile_object=t.object, start=t.start, pixels=t.values,
+                   halves=(seen(0), seen(1), *base.halves[2:]) if base.halves else (), specular=spec, variance=None if variance is None else variance[t.group][:, None])
+
+
+# -- errors
+
+@dataclass(frozen=True)
+class Misfit:
+    """How far tiles are from the photograph, in display values. excess : rms beyond noise;  tiles, pixels : how many"""
+    excess: float
+    rms: float
+    noise: float
+    tiles: int
+    pixels: int
+
+
+def misfit(problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
+    """B, seen : (t, C) linear;  n_pixels : (t,);  spread : (t, C) display, of B's own sampling"""
+    metric = reflectance._metric(problem, gamma)
+    residual = metric.value(B) - metric.value(seen)
+    w = n_pixels / max(n_pixels.sum(), 1)
+    square = float((w[:, None] * residual ** 2).sum() / residual.shape[1])
+    variance = float((w[:, None] * (problem.pixel_noise ** 2 / n_pixels[:, None] + np.broadcast_to(np.asarray(spread) ** 2, residual.shape))).sum() / residual.shape[1])
+    return Misfit(float(np.sqrt(max(square - variance, 0))), float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
+
+
+def audit(subcell, problem, result, tiles, transport=None) -> dict:
+    """{group: Misfit} of every group with enough tiles, all pixels taken together. Specular groups are judged by the tiles of their fit."""
+    state, gamma = result.state, result.state.gamma
+    found = {}
+    spec = problem.specular
+    rows = tiles.rows
+    seen = Pixels(tiles.values, tiles.start).linear(reflectance._metric(problem, gamma).transfer)[0]
+    metric = reflectance._metric(problem, gamma)
+    G = (rows.matrix() @ subcell).tocsr()
+    half = 0.5 * (((rows.matrix(0) - rows.matrix(1)) @ subcell) @ state.b)
+    irradiance = tiles.direct @ state.E + G @ state.b
+    power = np.ones((len(tiles), 1))
+    if spec is not None:
+        _, _, G_k, D_k = transport
+        weight = spec.chains.power(state.rho_s)
+        for k, A in G_k.items():
+            irradiance = irradiance + weight[k] * (A @ state.b)
+        for k, A in D_k.items():
+            irradiance = irradiance + weight[k] * (A @ state.E)
+        power = weight[tiles.chain]
+    B = power * state.rho[tiles.group] * irradiance
+    spread = metric.slope(B) * np.abs(power * state.rho[tiles.group] * half)
+    for g in np.unique(tiles.group):
+        if spec is not None and g in spec.groups:
+            continue
+        mine = np.flatnonzero((tiles.group == g) & ~tiles.fit)
+        if len(mine) >= ENOUGH:
+            found[int(g)] = misfit(problem, gamma, B[mine], seen[mine], tiles.n_pixels[mine], spread[mine])
+    if spec is not None:
+        t = tiles.take(np.flatnonzero(tiles.fit))
+        target = reflectance._observe(problem, gamma)[0]
+        for m, g in enumerate(spec.groups):
+            through = (spec.chains.counts[t.chain][:, m] > 0) & (t.lobe < 0)
+            mine = np.flatnonzero((t.lobe == m) & (t.chain == 0) if (t.lobe == m).any() else through)
+            if len(mine):
+                found[int(g)] = misfit(problem, gamma, state.B[mine], target[mine], t.n_pixels[mine])
+    return found
+
+
+# -- trying a rung in the light found so far
+
+@dataclass(frozen=True)
+class Trial:
+    """One rung tried for one group. rho_d, rho_s : (C,);  alpha : (2,);  tangent : (3,);  misfit, diffuse : with it and without, on the same tiles"""
+    rung: str
+    group: int
+    misfit: Misfit
+    diffuse: Misfit
+    rho_d: np.ndarray
+    rho_s: np.ndarray
+    alpha: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    tangent: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def explained(self):
+        """Share of the diffuse error's square that this rung takes away."""
+        return 1 - (self.misfit.excess / max(self.diffuse.excess, 1e-12)) ** 2
+
+
+def _scaled(metric, B, seen, weight, rounds=8):
+    """(C,) s >= 0: the least squares of metric(s B) - metric(seen)."""
+    s = np.maximum((weight * B * seen).sum(axis=0) / np.maximum((weight * B * B).sum(axis=0), 1e-300), 1e-6)
+    for _ in range(rounds):
+        r, slope = metric.value(s * B) - metric.value(seen), metric.slope(s * B) * B
+        s = np.clip(s - (weight * r * slope).sum(axis=0) / np.maximum((weight * slope ** 2).sum(axis=0), 1e-300), s / 3, 3 * s)
+    return s
+
+
+def as_mirror(site, problem, state, finish, rho_s, g):
+    """Trials of group g as a perfect and as a coloured mirror, or [] where its picture cannot be judged: what the virtual
+    viewpoint shows, under the light found so far. Groups that only this mirror shows are free: one factor each."""
+    from lib import specular
+    M = len(finish)
+    wider = replace(finish, groups=(*finish.groups, g), kind=np.append(finish.kind, specular.MIRROR), alpha=np.vstack([finish.alpha, np.zeros((1, 2))]),
+                    tangent=np.vstack([finish.tangent, np.zeros((1, 3))]))
+    chains = specular.Chains(M + 1)
+    pixel, view, pure = shown(site, wider, chains, [g])
+    lamp = np.isin(site.surface.group, [site.surface.groups.index(name) for name in site.factors.lamps])
+    good = np.flatnonzero(pure & ~lamp[view.facet])
+    if len(good) < 40:
+        return []
+    t = receivers(site, pixel[good], view.facet[good], view.side[good], view.p[good], view.direction[good], view.chain[good], np.full(len(good), -1, np.int32),
+                  rays=128, largest=20, smallest=4, per_facet=24, seed=131)
+    if len(t) < ENOUGH:
+        return []
+    metric = reflectance._metric(problem, state.gamma)
+    seen = Pixels(t.values, t.start).linear(metric.transfer)[0]
+    C = problem.channels
+    irradiance = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b
+    power = chains.power(np.vstack([rho_s, np.ones((1, C))]))[t.chain]
+    weight = t.n_pixels[:, None] * np.ones(C)
+    direct = np.isin(np.arange(len(problem.groups)), problem.tile_group)
+    rho = state.rho.copy()
+    for other in np.unique(t.group):
+        if other == g:                                             # seen in another mirror in this one: as that one would be
+            rho[other] = 0
+        elif not direct[other]:
+            mine = t.group == other
+            rho[other] = np.clip(_scaled(metric, (power * irradiance)[mine], seen[mine], weight[mine]), 0, 1)
+    B = power * rho[t.group] * irradiance
+    plain = _plain(site, problem, state, g)
+    perfect = Trial("mirror", g, misfit(problem, state.gamma, B, seen, t.n_pixels), plain, np.zeros(C), np.ones(C))
+    s = np.clip(_scaled(metric, B, seen, weight), 0, 1)
+    return [perfect, Trial("coloured_mirror", g, misfit(problem, state.gamma, s * B, seen, t.n_pixels), plain, np.zeros(C), s)]
+
+
+def _plain(site, problem, state, g) -> Misfit:
+    """The group as diffuse with its best rho_d, on the tiles of the audit."""
+    t = site.base_tiles.take(np.flatnonzero((site.base_tiles.group == g) & ~site.base_tiles.fit))
+    metric = reflectance._metric(problem, state.gamma)
+    seen = Pixels(t.values, t.start).linear(metric.transfer)[0]
+    irradiance = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b
+    s = _scaled(metric, irradiance, seen, t.n_pixels[:, None] * np.ones(problem.channels))
+    return misfit(problem, state.gamma, s * irradiance, seen, t.n_pixels)
+
+
+class Lobe:
+    """A group's pixels, ready to be compared with lobes of any shape: `fit(alpha, tangent)` adjusts rho_d and rho_s alone."""
+
+    def __init__(self, site, problem, state, finish, chains, transport, rho_s, g, most=260):
+        from lib import specular
+        self.site, self.problem, self.state, self.g = site, problem, state, g
+        M = len(finish)
+        self.wider = replace(finish, groups=(*finish.groups, g), kind=np.append(finish.kind, specular.GLOSSY), alpha=np.vstack([finish.alpha, np.zeros((1, 2))]),
+                             tangent=np.vstack([finish.tangent, np.zeros((1, 3))]))
+        self.rho_s = np.vstack([rho_s, np.ones((1, problem.channels))])
+        H, W = site.facet.shape
+        pixel = np.flatnonzero(site.pure.reshape(-1) & (site.surface.group[np.maximum(site.facet.reshape(-1), 0)] == g))
+        self.tiles = None
+        if len(pixel) < 20:
+            return
+        f = site.facet.reshape(-1)[pixel].astype(np.int32)
+        p, side = gather.backproject(site.surface, site.camera, f, pixel)
+        t = receivers(site, pixel, f, side, p, _directions(site.camera, pixel), np.zeros(len(pixel), np.int32), np.full(len(pixel), M, np.int32),
+                      rays=256, largest=8, smallest=3, per_facet=400, seed=141)
+        if len(t) < ENOUGH:
+            return
+        self.metric = reflectance._metric(problem, state.gamma)
+        if len(t) > most:
+            t = t.take(np.unique(np.linspace(0, len(t) - 1, most).astype(int)))
+        self.tiles, self.n = t, t.n_pixels
+        self.seen = Pixels(t.values, t.start).linear(self.metric.transfer)[0]
+        self.irradiance = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b
+        self.weight = self.metric.slope(self.seen) ** 2 / (problem.pixel_noise ** 2 / self.n[:, None] + 0.004 ** 2)
+        self.plain = self.fit(None)[0]
+
+    def fit(self, alpha, tangent=None):
+        """Misfit, chi2, rho_d, rho_s of the best non-negative combination; alpha None: diffuse."""
+        from lib import specular
+        if alpha is None:
+            lobe = np.zeros_like(self.irradiance)
+        else:
+            wider = replace(self.wider, alpha=np.vstack([self.wider.alpha[:-1], np.atleast_2d(alpha)]),
+                            tangent=np.vstack([self.wider.tangent[:-1], np.zeros((1, 3)) if tangent is None else np.atleast_2d(tangent)]))
+            chains = specular.Chains(len(wider))
+            rows = lobes(self.site, wider, chains, self.tiles, rays=128)
+            power = chains.power(self.rho_s)
+            lobe = sum((power[k] * (A @ self.state.b) for k, A in rows.F.items()), np.zeros_like(self.irradiance)) \
+                + sum((power[k] * (A @ self.state.E) for k, A in rows.D.items()), np.zeros_like(self.irradiance))
+        C = self.irradiance.shape[1]
+        rho_d, rho_s = np.zeros(C), np.zeros(C)
+        for c in range(C):
+            rho_d[c], rho_s[c] = _two(self.irradiance[:, c], lobe[:, c], self.seen[:, c], self.weight[:, c])
+        B = rho_d * self.irradiance + rho_s * lobe
+        chi2 = float((self.weight * (B - self.seen) ** 2).sum())
+        return misfit(self.problem, self.state.gamma, B, self.seen, self.n), chi2, rho_d, rho_s
+
+
+def _two(x, y, wanted, weight):
+    """a, b in [0, 1] of the least squares of a x + b y."""
+    xx, xy, yy = (weight * x * x).sum(), (weight * x * y).sum(), (weight * y * y).sum()
+    xz, yz = (weight * x * wanted).sum(), (weight * y * wanted).sum()
+    det = xx * yy - xy * xy
+    if det > 1e-9 * xx * yy:
+        a, b = (yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det
+        if a >= 0 and b >= 0:
+            return min(a, 1.0), min(b, 1.0)
+        if a < 0 and yy > 0:
+            return 0.0, float(np.clip(yz / yy, 0, 1))
+    return float(np.clip(xz / max(xx, 1e-300), 0, 1)), 0.0
+
+
+def as_glossy(site, problem, state, finish, chains, transport, rho_s, g):
+    """Trials of group g as an isotropic and as an anisotropic lobe."""
+    from scipy.optimize import minimize, minimize_scalar
+    lobe = Lobe(site, problem, state, finish, chains, transport, rho_s, g)
+    if lobe.tiles is None:
+        return []
+    cost = {}
+
+    def at(alpha, tangent=None):
+        key = (*np.round(np.log(np.clip(alpha, LOWEST, HIGHEST)), 6), *(() if tangent is None else np.round(tangent, 6)))
+        if key not in cost:
+            cost[key] = lobe.fit(np.clip(alpha, LOWEST, HIGHEST), tangent)
+        return cost[key]
+
+    values = [at((a, a))[1] for a in ALPHAS]
+    k = int(np.argmin(values))
+    low, high = ALPHAS[max(k - 1, 0)], ALPHAS[min(k + 1, len(ALPHAS) - 1)]
+    best = minimize_scalar(lambda x: at((np.exp(x),) * 2)[1], bounds=(np.log(low if k else LOWEST), np.log(high if k < len(ALPHAS) - 1 else HIGHEST)),
+                           method="bounded", options={"maxiter": 7})
+    a = float(np.exp(best.x)) if best.fun < values[k] else ALPHAS[k]
+    fit, chi2, rho_d, s = at((a, a))
+    trials = [Trial("glossy", g, fit, lobe.plain, rho_d, s, np.array([a, a]))]
+    if trials[0].explained < 0.2:                                  # what no round lobe explains in the least, no long one will
+        return trials
+    normal = main_normal(site.surface, g)
+    x = site.surface.axes[np.flatnonzero(site.surface.group == g)[0], 0]
+    x = x - (x @ normal) * normal
+    x /= np.linalg.norm(x)
+    turned = lambda angle: np.cos(angle) * x + np.sin(angle) * np.cross(normal, x)
+    starts = [(at((1.7 * a, a / 1.7), turned(angle))[1], angle) for angle in np.pi * np.arange(TURNS) / TURNS]
+    _, angle = min(starts)
+    start = np.array([np.log(1.7 * a), np.log(a / 1.7), angle])
+    simplex = np.vstack([start, start + [0.4, 0, 0], start + [0, 0.4, 0], start + [0, 0, 0.25]])
+    best = minimize(lambda v: at(np.exp(v[:2]), turned(v[2]))[1], start, method="Nelder-Mead", options={"maxfev": 45, "initial_simplex": simplex})
+    alpha, tangent = np.clip(np.exp(best.x[:2]), LOWEST, HIGHEST), turned(best.x[2])
+    fit, chi2_long, rho_d, s = at(alpha, tangent)
+    if alpha[0] < alpha[1]:
+        alpha, tangent = alpha[::-1], np.cross(normal, tangent)
+    trials.append(Trial("anisotropic", g, fit, lobe.plain, rho_d, s, alpha, tangent))
+    return trials
+
+
+# -- the climb
+
+@dataclass
+class Place:
+    """Where a group stands. rung : of RUNGS;  why : for the report;  tried : [{rung, excess}] at the step that led here"""
+    rung: str = "diffuse"
+    rho_d: np.ndarray = None
+    rho_s: np.ndarray = None
+    alpha: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    tangent: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    why: str = ""
+    tried: list = field(default_factory=list)
+    given: bool = False
+
+
+@dataclass
+class Climb:
+    """The end of a climb. places : {group: Place};  misfits : {group: Misfit};  sigma_shape : {group: {shape: sigma}}"""
+    problem: Problem
+    result: reflectance.Result
+    scale: str
+    places: dict
+    misfits: dict
+    diffuse: dict
+    finish: object
+    tiles: Receivers
+    rounds: int = 0
+    sigma_shape: dict = field(default_factory=dict)
+    chosen: dict = field(default_factory=dict)
+
+
+def flagged(problem, misfits, given, threshold) -> list:
+    """The groups that a diffuse surface does not explain, and those that are said to be no diffuse ones."""
+    known = {g for g in range(len(problem.groups)) if not np.isnan(problem.rho[g]).any()}
+    return sorted({g for g, m in misfits.items() if g not in known and m.excess > threshold and given.get(g) != "diffuse"}
+                  | {g for g, kind in given.items() if kind != "diffuse"})
+
+
+def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, options=None, max_rounds=12) -> Climb:
+    """From the diffuse fit to every group's rung.
+
+    given : {group number: kind} from scene.yaml;  threshold : display RMSE beyond noise that a group may keep
+    trace : called after each fit with round, result, places;  options : of reflectance.gauss_newton
+    """
+    given, options = dict(given or {}), dict(options or {})
+    base = site.base
+    misfits = audit(site.subcell, base, result, site.base_tiles)
+    here = Climb(base, result, scale, {int(g): Place() for g in np.unique(site.surface.group)}, misfits, dict(misfits), None, site.base_tiles)
+    known = {g for g in range(len(base.groups)) if not np.isnan(base.rho[g]).any()}       # lamps and references
+    settled = set(known)
+    for g, kind in given.items():
+        here.places[g].given = True
+        if kind == "diffuse":
+            settled.add(g)
+        elif kind == "textured":
+            here.places[g] = Place("textured", why="given in scene.yaml", given=True)
+            settled.add(g)
+    wanted = {g: kind for g, kind in given.items() if kind in ("mirror", "coloured_mirror", "glossy")}
+    for here.rounds in range(1, max_rounds + 1):
+        flagged = [g for g, m in here.misfits.items() if g not in settled and m.excess > threshold or g in wanted]
+        trials = {g: _tried(site, here, g, wanted.get(g)) for g in flagged}
+        taken = _taken(here, trials, threshold, wanted, settled)
+        if not taken:
+            taken = _textured(here, flagged, threshold, settled)
+        if not taken:
+            break
+        here = _refit(site, here, options)
+        if trace:
+            trace(here)
+        wanted = {}
+    return here
+
+
+def _tried(site, here, g, wanted):
+    """The rungs above the group's own, tried in the present light."""
+    from lib import specular
+    state, M = here.result.state, 0 if here.finish is None else len(here.finish)
+    keep = [m for m in range(M) if here.finish.groups[m] != g]
+    finish = specular.Finish(tuple(here.finish.groups[m] for m in keep), here.finish.kind[keep], here.finish.alpha[keep], here.finish.tangent[keep]) if M \
+        else specular.Finish((), np.zeros(0, int), np.zeros((0, 2)), np.zeros((0, 3)))
+    rho_s = state.rho_s[keep] if M else np.zeros((0, here.problem.channels))
+    own = RUNGS.index(here.places[g].rung)
+    trials = []
+    if wanted in (None, "mirror", "coloured_mirror"):
+        trials += as_mirror(site, here.problem, state, finish, rho_s, g)
+    if wanted in (None, "glossy"):
+        trials += as_glossy(site, here.problem, state, finish, specular.Chains(len(finish)), None, rho_s, g)
+    if wanted:
+        trials = [t for t in trials if t.rung == wanted or wanted == "glossy"]
+    return [t for t in trials if RUNGS.index(t.rung) > own]
+
+
+def _taken(here, trials, threshold, wanted, settled):
+    """Give the groups that a rung explains that rung; returns them. Those explained nearly wholly at once, else the best alone."""
+    choice = {}
+    for g, tried in trials.items():
+        if not tried:
+            continue
+        best = min(t.misfit.excess for t in tried)
+        now = here.misfits[g].excess if g in here.misfits else np.inf
+        enough = max(threshold, 2 * best)                          # the light is not yet that of the end: about as good is good
+        trial = next(t for t in sorted(tried, key=lambda t: RUNGS.index(t.rung)) if t.misfit.excess <= enough)
+        diffuse = here.places[g].rung == "diffuse"
+        gain = trial.explained if diffuse else 1 - (trial.misfit.excess / max(now, 1e-12)) ** 2
+        if g in wanted or gain > 0.5 and (trial.rung not in ("glossy", "anisotropic") or trial.rho_s.max() > 0.002):
+            choice[g] = (gain * trial.diffuse.excess ** 2 * trial.diffuse.pixels, gain, trial, tried)
+    if not choice:
+        return []
+    best = max(choice, key=lambda g: choice[g][0])
+    taken = [g for g, (_, gain, _, _) in choice.items() if g == best or g in wanted or gain > 0.9]
+    for g in taken:
+        _, gain, trial, tried = choice[g]
+        said = ", ".join(f"{t.rung} {t.misfit.excess:.4f}" for t in tried)
+        old = here.places[g]
+        why = f"off by {trial.diffuse.excess:.4f} beyond noise as diffuse; {said}" if not old.given else f"given in scene.yaml; {said}"
+        here.places[g] = Place(trial.rung, trial.rho_d, trial.rho_s, trial.alpha, trial.tangent, why,
+                               old.tried + [{"rung": t.rung, "excess": t.misfit.excess, "diffuse": t.diffuse.excess} for t in tried], old.given)
+    return taken
+
+
+def _textured(here, flagged, threshold, settled):
+    """What no rung explains is a texture, if it is clearly more than shadows' edges leave."""
+    taken = [g for g in flagged if here.misfits[g].excess > 1.5 * threshold and here.places[g].rung == "diffuse"]
+    for g in taken:
+        here.places[g].rung = "textured"
+        here.places[g].why = f"off by {here.misfits[g].excess:.4f} beyond noise as diffuse, and no mirror or lobe explains half of that"
+        settled.add(g)
+    return taken
+
+
+def _finish(places):
+    from lib import specular
+    groups = [g for g, p in sorted(places.items()) if p.rung in ("mirror", "coloured_mirror", "glossy", "anisotropic")]
+    kind = np.array([specular.MIRROR if "mirror" in places[g].rung else specular.GLOSSY for g in groups], int)
+    return specular.Finish(tuple(groups), kind, np.array([places[g].alpha for g in groups]).reshape(-1, 2), np.array([places[g].tangent for g in groups]).reshape(-1, 3))
+
+
+def _shapes(places, finish):
+    return [(m, name) for m, g in enumerate(finish.groups)
+            for name in {"glossy": ("alpha",), "anisotropic": ("alpha_x", "alpha_y", "turn")}.get(places[g].rung, ())]
+
+
+def _refit(site, here, options) -> Climb:
+    """Everything anew with the light that goes by way of the specular groups; lobes are traced again until their shapes stay."""
+    from lib import specular
+    places, state = here.places, here.result.state
+    finish = _finish(places)
+    chains = specular.Chains(len(finish))
+    C = site.base.channels
+    textured = [g for g, p in places.items() if p.rung == "textured"]
+    variance = np.zeros(len(site.base.groups))
+    variance[textured] = [here.misfits[g].excess ** 2 if g in here.misfits else 0.05 ** 2 for g in textured]
+    if not len(finish):
+        problem = replace(site.base, variance=variance[site.base.tile_group][:, None])
+        result, scale = reflectance.fit(problem, start=(state.rho, state.E, state.gamma, None), **options)
+        return replace(here, problem=problem, result=result, scale=scale, misfits=audit(site.subcell, problem, result, site.base_tiles))
+    tiles = _tiles_of(site, finish, chains)
+    transport = light(site, finish, chains, tiles)
+    traced = np.array(finish.alpha)
+    fixed = site.base.rho.copy()
+    rho, free = state.rho.copy(), np.full((len(finish), C), np.nan)
+    rho_s = np.ones((len(finish), C))
+    old = {g: m for m, g in enumerate(here.finish.groups)} if here.finish is not None else {}
+    for m, g in enumerate(finish.groups):
+        if finish.kind[m] == specular.MIRROR:
+            fixed[g] = rho[g] = 0
+        elif places[g].rho_d is not None:
+            rho[g] = places[g].rho_d
+        rho_s[m] = state.rho_s[old[g]] if g in old and places[g].rho_s is None else np.clip(places[g].rho_s, 1e-3, 1)
+        if places[g].rung == "mirror":
+            rho_s[m], free[m] = 1, 1
+    base, site.base = site.base, replace(site.base, rho=fixed)
+    try:
+        start = (rho, state.E, state.gamma, rho_s)
+        for turn in range(10):
+            shapes = _shapes(places, finish)
+            problem = assemble(site, finish, chains, tiles, transport, free, shapes, variance)
+            result = reflectance.gauss_newton(problem, start=start, finish=False, **{**options, "max_iterations": 12, "tolerance": 1e-3})
+            start = (result.state.rho, result.state.E, result.state.gamma, result.state.rho_s)
+            steps = result.state.bend
+            for (m, name, *_), step in zip(problem.specular.bend, steps):
+                finish = bent(finish, m, name, step, main_normal(site.surface, finish.groups[m]))
+            for m in range(len(finish)):
+                finish = _ordered(site, finish, m)
+            if np.max(np.abs(np.log(np.maximum(finish.alpha, 1e-6) / np.maximum(traced, 1e-6))), initial=0) > 0.25:
+                transport, traced = light(site, finish, chains, tiles), np.array(finish.alpha)
+            if np.max(np.abs(steps), initial=0) < 0.004:
+                break
+        problem = assemble(site, finish, chains, tiles, transport, free, _shapes(places, finish), variance)
+        result, scale = reflectance.fit(problem, start=start, **options)
+        # a mirror that is not quite perfect is coloured
+        perfect = [m for m, g in enumerate(finish.groups) if places[g].rung == "mirror" and not places[g].given]
+        if perfect:
+            loose = free.copy()
+            loose[perfect] = np.nan
+            start = (result.state.rho, result.state.E, result.state.gamma, np.where(np.isnan(loose), np.minimum(result.state.rho_s, 0.999), result.state.rho_s))
+            other = replace(problem, specular=replace(problem.specular, rho_s=loose))
+            tint, _ = reflectance.fit(other, start=start, **options)
+            away = np.abs(tint.state.rho_s - 1) > np.maximum(3 * tint.sigma_rho_s, 0.004)
+            for m in perfect:
+                if away[m].any():
+                    g = finish.groups[m]
+                    places[g].rung, free[m] = "coloured_mirror", np.nan
+                    places[g].why += f"; rho_s = {', '.join(f'{v:.3f}' for v in tint.state.rho_s[m])} is not 1"
+            if away[perfect].any():
+                problem = replace(problem, specular=replace(problem.specular, rho_s=free))
+                result, scale = reflectance.fit(problem, start=(tint.state.rho, tint.state.E, tint.state.gamma, np.where(np.isnan(free), tint.state.rho_s, 1.0)), **options)
+    finally:
+        site.base = base
+    sigma_shape = {}
+    for (m, name, *_), step in zip(problem.specular.bend, result.sigma_bend if result.sigma_bend is not None else []):
+        sigma_shape.setdefault(finish.groups[m], {})[name] = float(step)
+    for m, g in enumerate(finish.groups):
+        places[g] = replace(places[g], rho_d=None, rho_s=None, alpha=finish.alpha[m], tangent=finish.tangent[m])
+    new = replace(here, problem=problem, result=result, scale=scale, finish=finish, tiles=tiles, sigma_shape=sigma_shape)
+    new.misfits = audit(site.subcell, problem, result, tiles, transport)
+    return new
+
+
+def _ordered(site, finish, m):
+    """alpha_x >= alpha_y: else the tangent is turned by a right angle."""
+    if finish.alpha[m, 0] >= finish.alpha[m, 1]:
+        return finish
+    alpha, tangent = np.array(finish.alpha, float), np.array(finish.tangent, float)
+    alpha[m] = alpha[m, ::-1]
+    tangent[m] = np.cross(main_normal(site.surface, finish.groups[m]), tangent[m])
+    return replace(finish, alpha=alpha, tangent=tangent)
