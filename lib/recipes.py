@@ -102,6 +102,28 @@ class Pair:
     T_left_ref: np.ndarray = field(default_factory=lambda: np.eye(4))        # the frame of given cameras
 
 
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Reflectances over a parallelogram: bilinear between the pixels' centres, constant beyond the outermost of them, so that the area mean is the image's."""
+    image: np.ndarray             # (h, w, 3) linear
+    origin: np.ndarray            # (3,) m: the outer corner of pixel [0, 0]
+    u: np.ndarray                 # (3,) m: from there along the columns of row 0, to its end
+    v: np.ndarray                 # (3,) m: along the rows of column 0, to its end
+
+    def mean(self) -> tuple:
+        return tuple(float(x) for x in self.image.mean((0, 1)))
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What a group's reflection has beside rho_d (of a textured one `materials` has the area mean): data/SCENE.md, sections 3 and 4."""
+    kind: str = "diffuse"         # mirror, coloured_mirror, glossy, textured
+    rho_s: tuple = (0, 0, 0)
+    alpha: tuple | None = None    # glossy: alpha_x >= alpha_y
+    tangent: tuple | None = None  # unit direction of alpha_x, model's frame; None where they are equal
+    texture: Texture | None = None
+
+
 @dataclass(frozen=True)
 class Recipe:
     name: str
@@ -116,6 +138,7 @@ class Recipe:
     channels: int = 3
     about: str = ""
     pair: Pair | None = None
+    surfaces: dict = field(default_factory=dict)    # group -> Surface, of those that are more than diffuse
 
     @property
     def groups(self) -> tuple:
@@ -129,6 +152,16 @@ class Recipe:
     def rho_d(self, group) -> tuple:
         """Diffuse reflectance per channel; a lamp reflects only what `reference` says."""
         return tuple(self.materials.get(group, self.reference.get(group, (0.0, 0.0, 0.0))))
+
+    def surface(self, group) -> Surface:
+        return self.surfaces.get(group, Surface())
+
+    def mirrors(self) -> list:
+        """The polygons that reflect perfectly, one per group of that kind."""
+        out = [p for p in self.polygons if self.surface(p.group).kind in ("mirror", "coloured_mirror")]
+        if len({p.group for p in out}) < len(out):
+            raise ValueError("a group of mirrors must be one polygon")
+        return out
 
     def project(self, p_world) -> np.ndarray:
         """(N, 3) m -> (N, 2) px; (0, 0) is the centre of the top-left pixel."""
@@ -193,8 +226,8 @@ class Recipe:
 
 
 def make(name) -> Recipe:
-    """The recipe of one scene.  Raises KeyError for a name that is in neither `NAMES` nor `STEREO_NAMES`."""
-    return (_RECIPES | _STEREO)[name]()
+    """The recipe of one scene.  Raises KeyError for a name that is in none of `NAMES`, `STEREO_NAMES` and `KIND_NAMES`."""
+    return (_RECIPES | _STEREO | _KINDS)[name]()
 
 
 # ---- geometry ----------------------------------------------------------------------------------------------
@@ -516,6 +549,271 @@ def linear() -> Recipe:
                   about="A loft photographed linearly; two lamps of known emittance")
 
 
+# ---- scenes that are more than diffuse ---------------------------------------------------------------------
+
+def on_wall(object, front, edge, wall, along, z, thickness) -> list:
+    """A flat closed box that hangs on a wall: its front face is one group, its sides and back another.
+
+    wall: ("x", 5.0, -1) is the plane x = 5, whose room lies towards -x; along, z: (low, high) m."""
+    axis, at, side = wall
+    a, b = sorted((at, at + side * thickness))
+    low, high = ((a, along[0], z[0]), (b, along[1], z[1])) if axis == "x" else ((along[0], a, z[0]), (along[1], b, z[1]))
+    return box(object, edge, low, high, sides={{("x", -1): 3, ("x", 1): 1, ("y", -1): 0, ("y", 1): 2}[axis, side]: front})
+
+
+def framed(object, front, edge, wall, along, z, thickness, width=.05) -> list:
+    """The same within a frame of four bars, half as thick again."""
+    (a, b), (c, d), thick = along, z, 1.5 * thickness
+    bars = (("bottom", (a - width, b + width), (c - width, c)), ("top", (a - width, b + width), (d, d + width)), ("left", (a - width, a), z), ("right", (b, b + width), z))
+    out = on_wall(object, front, edge, wall, along, z, thickness)
+    for name, *span in bars:
+        out += on_wall(f"{object}-{name}", edge, edge, wall, *span, thick)
+    return out
+
+
+def brightness(materials, surfaces) -> dict:
+    """group -> rho_d + rho_s: all that is reflected, for `exposed`."""
+    return {g: np.add(rho, surfaces[g].rho_s if g in surfaces else 0) for g, rho in materials.items()}
+
+
+_HALL = {
+    "wall": (.70, .68, .63), "floor": (.36, .29, .23), "ceiling": (.79, .79, .77), "frame": (.44, .29, .16), "desktop": (.56, .42, .27),
+    "deskpanel": (.28, .32, .40), "monitor": (.08, .09, .12), "book": (.58, .13, .11), "chair": (.17, .24, .44), "cabinet": (.46, .49, .51),
+    "door": (.53, .24, .17), "carton": (.59, .45, .29), "bin": (.60, .58, .21), "rug": (.44, .16, .17), "poster": (.64, .60, .33),
+    "curtain": (.24, .42, .30), "bookcase": (.40, .22, .10), "books": (.62, .52, .18),
+}
+
+
+def office_mirror() -> Recipe:
+    """An office with a perfect mirror over the desk.  Curtain, bookcase and books are seen in it alone."""
+    materials = dict(_HALL) | {"mirror": (0., 0., 0.)}
+    surfaces = {"mirror": Surface("mirror", (1., 1., 1.))}
+    x, y, z = 5.0, 4.0, 2.8
+    p = room(x, y, z)
+    p += framed("mirror", "mirror", "frame", ("x", x, -1), (1.74, 3.08), (1.08, 2.01), .03)
+    p += box("desktop", "desktop", (4.25, 1.25, .72), (5.0, 2.95, .76))
+    p += box("desk-left", "deskpanel", (4.3, 2.85, 0), (5.0, 2.9, .72))
+    p += box("desk-right", "deskpanel", (4.3, 1.3, 0), (5.0, 1.35, .72))
+    p += box("desk-back", "deskpanel", (4.9, 1.35, .25), (4.95, 2.85, .72))
+    p += box("monitor", "monitor", (4.62, 1.30, .80), (4.69, 1.84, 1.16), turn=-.15)
+    p += box("stand", "monitor", (4.55, 1.46, .76), (4.76, 1.68, .80))
+    p += box("book", "book", (4.35, 2.45, .76), (4.6, 2.83, .92), turn=.25)
+    p += box("seat", "chair", (3.62, 1.95, .43), (4.1, 2.43, .48))
+    p += box("chair-back", "chair", (3.62, 1.98, .48), (3.66, 2.40, .95))
+    p += box("runner-left", "chair", (3.62, 2.37, 0), (4.1, 2.42, .43))
+    p += box("runner-right", "chair", (3.62, 1.96, 0), (4.1, 2.01, .43))
+    p += box("cabinet", "cabinet", (4.05, 3.5, 0), (4.85, 4.0, 1.6))
+    p += box("door", "door", (4.09, 3.47, .08), (4.81, 3.5, 1.52))
+    p += box("carton", "carton", (3.2, 2.85, 0), (3.65, 3.22, .34), turn=.5)
+    p += prism("bin", "bin", regular((4.55, .9), .15, 6, .2), 0, .36)
+    p += box("rug", "rug", (3.35, 1.0, 0), (4.15, 1.7, .012), turn=.1)
+    p += box("poster", "poster", (4.985, .45, 1.2), (5.0, .85, 1.75))
+    p += box("curtain", "curtain", (0, 2.35, .15), (.06, 3.75, 2.4))                     # from here on: behind the camera
+    p += box("bookcase", "bookcase", (1.0, 3.68, 0), (1.95, 4.0, 1.9), sides={0: "books"})
+    p += [lamp("lamp", "lamp", (2.35, 2.05), 1.2, .7, z - .05)]
+    tint = (1.0, .96, .88)
+    E = exposed(p, brightness(materials, surfaces), {"lamp": tint}, .24)
+    return Recipe("office-mirror", tuple(p), materials, {"lamp": scaled(E, tint)}, 2.15, pinhole(640, 480, 415), (640, 480),
+                  look((1.72, 1.17, 1.58), (5.0, 2.27, 1.12)), surfaces=surfaces, about="An office with a mirror over the desk; the lamp's emittance is known")
+
+
+_PARLOUR = {
+    "wall": (.66, .70, .68), "floor": (.42, .31, .20), "ceiling": (.82, .81, .78), "frame": (.20, .15, .12), "sideboard": (.36, .22, .13), "drawer": (.50, .34, .20),
+    "vase": (.20, .36, .52), "sofa": (.50, .20, .16), "cushion": (.66, .56, .24), "table": (.46, .36, .25), "tray": (.14, .30, .20), "shelf": (.58, .56, .52),
+    "picture": (.30, .22, .40), "rug": (.26, .30, .44), "pot": (.55, .33, .22), "wardrobe": (.22, .32, .26), "curtain": (.62, .28, .30),
+}
+
+
+def office_coloured_mirror() -> Recipe:
+    """A parlour with a gold-coloured mirror over the sideboard.  Wardrobe and curtain are seen in it alone."""
+    gold = (.88, .72, .50)
+    materials = dict(_PARLOUR) | {"mirror": (0., 0., 0.)}
+    surfaces = {"mirror": Surface("coloured_mirror", gold)}
+    x, y, z = 4.6, 4.2, 2.7
+    p = room(x, y, z)
+    p += framed("mirror", "mirror", "frame", ("y", y, -1), (2.42, 3.42), (.92, 2.18), .03)
+    p += box("sideboard", "sideboard", (2.25, 3.78, 0), (3.65, 4.2, .70))
+    p += box("drawer-1", "drawer", (2.30, 3.755, .38), (2.92, 3.78, .64))
+    p += box("drawer-2", "drawer", (2.98, 3.755, .38), (3.60, 3.78, .64))
+    p += prism("vase", "vase", regular((2.42, 3.98), .09, 8, .2), .70, 1.02)
+    p += box("sofa", "sofa", (.25, 2.55, 0), (1.95, 3.3, .40))
+    p += box("sofa-back", "sofa", (.25, 3.3, 0), (1.95, 3.5, .85))
+    p += box("cushion", "cushion", (1.30, 2.85, .40), (1.72, 3.28, .54), turn=.3)
+    p += box("table", "table", (2.28, 2.35, .38), (3.12, 2.85, .42), turn=.12)
+    p += box("table-leg-1", "table", (2.36, 2.42, 0), (2.42, 2.72, .38), turn=.12)
+    p += box("table-leg-2", "table", (2.98, 2.48, 0), (3.04, 2.78, .38), turn=.12)
+    p += box("tray", "tray", (2.55, 2.5, .42), (2.85, 2.72, .45), turn=.5)
+    p += box("shelf", "shelf", (4.22, 3.1, 0), (4.6, 4.0, 1.45))
+    p += box("picture", "picture", (1.0, 4.17, 1.35), (1.65, 4.2, 1.85))
+    p += box("rug", "rug", (1.9, 1.75, 0), (3.5, 3.05, .012), turn=-.06)
+    p += prism("pot", "pot", regular((3.92, 2.75), .16, 8, .1), 0, .42)
+    p += box("wardrobe", "wardrobe", (2.95, 0, 0), (3.85, .55, 2.0))                     # from here on: behind the camera
+    p += box("curtain", "curtain", (4.54, .62, .1), (4.6, 1.5, 2.35))
+    p += [lamp("lamp", "lamp", (2.35, 2.1), 1.2, .8, z - .05)]
+    tint = (1.0, .95, .86)
+    E = exposed(p, brightness(materials, surfaces), {"lamp": tint}, .20)
+    return Recipe("office-coloured-mirror", tuple(p), materials, {"lamp": scaled(E, tint)}, 1.85, pinhole(640, 480, 410), (640, 480),
+                  look((2.05, .98, 1.52), (2.72, 4.2, 1.08)), surfaces=surfaces, about="A parlour with a gold-coloured mirror; the lamp's emittance is known")
+
+
+_DESK = {
+    "wall": (.62, .60, .55), "panel": (.28, .38, .50), "floor": (.46, .40, .34), "ceiling": (.78, .78, .76), "desktop": (.25, .14, .08), "apron": (.34, .20, .11),
+    "book": (.60, .14, .11), "book-2": (.16, .34, .24), "pot": (.62, .46, .20), "screen": (.09, .10, .13), "paper": (.74, .73, .70), "shelf": (.52, .40, .25),
+    "carton": (.20, .28, .50),
+}
+
+
+def study() -> list:
+    """A desk at the end of a small room, its top at z = .74, and what stands on it."""
+    x, y, z = 5.0, 3.6, 2.7
+    p = room(x, y, z)
+    p += box("desk", "apron", (2.70, .8, .64), (3.70, 2.7, .74), top="desktop")
+    p += box("desk-foot-1", "apron", (2.95, .9, 0), (3.6, .98, .64))
+    p += box("desk-foot-2", "apron", (2.95, 2.52, 0), (3.6, 2.6, .64))
+    p += box("panel", "panel", (4.97, .35, .25), (5.0, 1.55, 1.45))
+    p += box("shelf", "shelf", (4.65, 1.85, .86), (5.0, 3.4, .9))
+    p += box("shelf-carton", "carton", (4.7, 2.6, .9), (4.97, 3.05, 1.1))
+    p += box("screen", "screen", (3.50, 1.08, .78), (3.55, 1.66, 1.12), turn=-.22)
+    p += box("screen-foot", "screen", (3.43, 1.29, .74), (3.61, 1.45, .78), turn=-.22)
+    p += box("book", "book", (3.26, 2.30, .74), (3.54, 2.64, .80), turn=.3)
+    p += box("book-2", "book-2", (3.31, 2.34, .80), (3.50, 2.60, .86), turn=.12)
+    return p
+
+
+def desk_glossy() -> Recipe:
+    """A varnished desk top, which shows the lamp as a broad highlight and what stands on it as a blur; a tin of narrower gloss."""
+    materials = dict(_DESK) | {"tin": (.10, .10, .10)}
+    surfaces = {"desktop": Surface("glossy", (.12, .12, .12), (.10, .10)), "tin": Surface("glossy", (.35, .35, .35), (.05, .05))}
+    p = study()
+    p += prism("pot", "pot", regular((3.40, 1.98), .08, 8, .15), .74, .94)
+    p += box("paper", "paper", (2.86, 1.02, .74), (3.07, 1.32, .744), turn=.3)
+    p += box("tin", "tin", (2.78, 1.66, .74), (2.98, 1.96, .82), turn=-.35)
+    p += [lamp("lamp", "lamp", (4.15, 1.85), 1.2, .9, 2.6)]
+    tint = (1.0, .95, .87)
+    E = exposed(p, brightness(materials, surfaces), {"lamp": tint}, .17)
+    return Recipe("desk-glossy", tuple(p), materials, {"lamp": scaled(E, tint)}, 2.3, pinhole(640, 480, 500), (640, 480),
+                  look((1.93, 1.42, 1.66), (3.30, 1.80, .72)), surfaces=surfaces, about="A glossy desk top and a tin; the lamp's emittance is known")
+
+
+def desk_brushed() -> Recipe:
+    """A plate of brushed metal on the desk: its highlight is drawn out across the brushing, at 25 degrees to the desk's edge."""
+    a = np.radians(25)
+    materials = dict(_DESK) | {"plate": (.08, .08, .08), "desktop": (.50, .38, .24)}
+    surfaces = {"plate": Surface("glossy", (.45, .43, .40), (.28, .07), (float(np.cos(a)), float(np.sin(a)), 0.0))}
+    p = study()
+    p += box("plate", "apron", (2.78, 1.12, .74), (3.36, 2.02, .752), top="plate")
+    p += prism("pot", "pot", regular((3.24, 1.78), .07, 8, .15), .752, .93)
+    p += box("paper", "paper", (2.86, 2.18, .74), (3.07, 2.48, .744), turn=.3)
+    p += [lamp("lamp", "lamp", (4.05, 1.95), 1.3, 1.1, 2.6)]
+    tint = (1.0, .97, .92)
+    E = exposed(p, brightness(materials, surfaces), {"lamp": tint}, .085)
+    return Recipe("desk-brushed", tuple(p), materials, {"lamp": scaled(E, tint)}, 2.0, pinhole(640, 480, 500), (640, 480),
+                  look((1.93, 1.36, 1.66), (3.30, 1.74, .72)), surfaces=surfaces, about="A plate of brushed metal on a desk; the lamp's emittance is known")
+
+
+_GLYPHS = {           # rows of five, from the top
+    "R": "11110 10001 10001 11110 10100 10010 10001", "A": "01110 10001 10001 11111 10001 10001 10001", "D": "11110 10001 10001 10001 10001 10001 11110",
+    "I": "01110 00100 00100 00100 00100 00100 01110", "O": "01110 10001 10001 10001 10001 10001 01110", "S": "01111 10000 10000 01110 00001 00001 11110",
+    "T": "11111 00100 00100 00100 00100 00100 00100", "Y": "10001 10001 01010 00100 00100 00100 00100",
+}
+
+
+def poster_image(width=420, height=300, fine=4) -> np.ndarray:
+    """(height, width, 3) reflectances of a printed poster: a soft photograph, letters, figures, stripes.  Drawn `fine` times as large, then averaged."""
+    random = np.random.default_rng(23)
+    y, x = np.mgrid[:height * fine, :width * fine] + .5
+    x, y = x / fine, y / fine                                     # px
+    out = np.array([.34, .40, .46]) + np.zeros((*x.shape, 3))
+    for _ in range(9):                                            # the photograph: soft blobs of colour
+        at, size, colour = random.uniform((0, 0), (width, height)), random.uniform(40, 110), random.uniform(-.26, .30, 3)
+        out += np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * size ** 2))[..., None] * colour
+    paint = lambda where, colour: out.__setitem__(where, colour)
+    margin = (x < 12) | (x > width - 12) | (y < 12) | (y > height - 12)
+    paint((y > 20) & (y < 86) & ~margin, (.78, .76, .70))         # a pale bar with the title
+    for k, letter in enumerate("RADIOSITY"):
+        for i, row in enumerate(_GLYPHS[letter].split()):
+            for j, on in enumerate(row):
+                if on == "1":
+                    x0, y0 = 31 + 41 * k + 7 * j, 28 + 7.2 * i
+                    paint((x >= x0) & (x < x0 + 7) & (y >= y0) & (y < y0 + 7.2), (.06, .07, .12))
+    paint((x - 92) ** 2 + (y - 196) ** 2 < 52 ** 2, (.62, .12, .09))                               # a disc in a ring
+    paint((x - 92) ** 2 + (y - 196) ** 2 < 31 ** 2, (.80, .62, .16))
+    paint((y > 150) & (np.abs(x - 196) < (y - 150) * .46) & (y < 244), (.10, .34, .26))            # a triangle
+    paint((x > 268) & (x < 388) & (y > 150) & (y < 196) & (np.floor(x / 3) % 2 == 0), (.08, .08, .09))       # upright stripes, 3 px
+    paint((x > 268) & (x < 388) & (y > 204) & (y < 248) & (np.floor((x + y) / 6) % 2 == 0), (.74, .72, .66))           # slanting ones
+    paint(margin, (.84, .83, .80))
+    out = np.clip(out, .04, .86).reshape(height, fine, width, fine, 3).mean((1, 3))
+    return out.astype(np.float16).astype(float)                   # exactly what the EXR holds
+
+
+def rug_image(width=288, height=192, fine=4) -> np.ndarray:
+    """(height, width, 3) of a woven rug: borders, diamonds, bands."""
+    y, x = np.mgrid[:height * fine, :width * fine] + .5
+    x, y = x / fine, y / fine
+    out = np.array([.40, .10, .10]) + np.zeros((*x.shape, 3))
+    edge = np.minimum(np.minimum(x, width - x), np.minimum(y, height - y))
+    out[np.floor(y / 12) % 4 == 1] = (.46, .15, .12)
+    for k in range(4):
+        distance = np.abs(x - 54 - 60 * k) / 26 + np.abs(y - height / 2) / 58
+        out[distance < 1] = (.10, .16, .34)
+        out[distance < .62] = (.68, .58, .36)
+        out[distance < .28] = (.14, .30, .20)
+    out[edge < 24] = (.12, .14, .30)
+    out[(edge < 18) & (edge > 12)] = (.66, .56, .34)
+    out[edge < 6] = (.56, .50, .40)
+    out = out.reshape(height, fine, width, fine, 3).mean((1, 3))
+    return out.astype(np.float16).astype(float)
+
+
+def poster() -> Recipe:
+    """A room with a printed poster on the wall and a woven rug on the floor, both textured; the rest is of one reflectance each."""
+    x, y, z = 4.6, 3.8, 2.6
+    turn = np.array([np.cos(.12), np.sin(.12), 0])
+    rug_at, across = np.array([2.30, 1.42, .012]), np.array([-turn[1], turn[0], 0])           # its corner; its long side is `across`
+    textures = {"poster": Texture(poster_image(), np.array([x - .02, 2.72, 1.95]), np.array([0, -1.40, 0.]), np.array([0, 0, -1.00])),
+                "rug": Texture(rug_image(), rug_at + 1.35 * across + .90 * turn, -1.35 * across, -.90 * turn)}
+    surfaces = {g: Surface("textured", texture=t) for g, t in textures.items()}
+    materials = {"wall": (.68, .66, .60), "floor": (.44, .35, .26), "ceiling": (.80, .80, .78), "edge": (.30, .26, .22), "fringe": (.50, .44, .36), "bench": (.34, .22, .14),
+                 "crate": (.24, .36, .52), "stool": (.58, .40, .16), "cupboard": (.48, .52, .46), "ball": (.60, .18, .14)} | {g: t.mean() for g, t in textures.items()}
+    p = room(x, y, z)
+    p += on_wall("poster", "poster", "edge", ("x", x, -1), (1.32, 2.72), (.95, 1.95), .02)
+    corners = np.array([rug_at, rug_at + .90 * turn, rug_at + .90 * turn + 1.35 * across, rug_at + 1.35 * across])[:, :2]
+    p += prism("rug", "fringe", corners, 0, .012, top="rug")
+    p += box("bench", "bench", (4.15, 1.25, .38), (4.55, 2.55, .44))
+    p += box("bench-leg-1", "bench", (4.2, 1.35, 0), (4.5, 1.41, .38))
+    p += box("bench-leg-2", "bench", (4.2, 2.39, 0), (4.5, 2.45, .38))
+    p += box("crate", "crate", (4.18, 1.42, .44), (4.46, 1.78, .68), turn=.25)
+    p += prism("stool", "stool", regular((3.52, .78), .2, 8, .2), 0, .46)
+    p += box("cupboard", "cupboard", (3.3, 3.35, 0), (4.3, 3.8, 1.5))
+    p += prism("ball", "ball", regular((3.55, 2.95), .14, 6, .5), 0, .22)
+    p += [lamp("lamp", "lamp", (2.55, 1.75), 1.1, .7, z - .05)]
+    tint = (1.0, .97, .91)
+    E = exposed(p, materials, {"lamp": tint}, .24)
+    return Recipe("poster", tuple(p), materials, {"lamp": scaled(E, tint)}, 2.1, pinhole(640, 480, 405, (3.2, -2.7)), (640, 480),
+                  look((1.35, 1.55, 1.6), (4.6, 2.16, 1.12)), surfaces=surfaces, about="A room with a printed poster and a woven rug; the lamp's emittance is known")
+
+
+def two_mirrors() -> Recipe:
+    """Two perfect mirrors on opposite walls; the camera, between them, sees one of them and in it the other, and so on."""
+    materials = {"wall": (.64, .60, .52), "floor": (.32, .26, .22), "ceiling": (.78, .78, .76), "frame": (.46, .32, .14), "frame-2": (.16, .18, .24), "chest": (.30, .42, .44),
+                 "vase": (.58, .16, .12), "stool": (.56, .46, .22), "bench": (.22, .16, .34), "screen": (.40, .54, .30), "mirror": (0., 0., 0.), "mirror-2": (0., 0., 0.)}
+    surfaces = {g: Surface("mirror", (1., 1., 1.)) for g in ("mirror", "mirror-2")}
+    x, y, z = 4.4, 3.4, 2.6
+    p = room(x, y, z)
+    p += framed("mirror", "mirror", "frame", ("y", y, -1), (1.30, 3.10), (.85, 1.95), .03)
+    p += framed("mirror-2", "mirror-2", "frame-2", ("y", 0., 1), (1.15, 2.75), (.75, 2.05), .03)
+    p += box("chest", "chest", (1.2, 3.0, 0), (2.1, 3.4, .55))
+    p += prism("vase", "vase", regular((1.5, 3.18), .09, 8, .2), .55, .92)
+    p += prism("stool", "stool", regular((2.85, 2.45), .2, 6, .3), 0, .5)
+    p += box("bench", "bench", (2.4, .12, 0), (3.3, .5, .45))
+    p += box("screen", "screen", (3.55, 2.2, 0), (3.62, 3.2, 1.6), turn=.3)
+    p += [lamp("lamp", "lamp", (2.3, 1.75), 1.2, .8, z - .05)]
+    tint = (1.0, .96, .90)
+    E = exposed(p, brightness(materials, surfaces), {"lamp": tint}, .22)
+    return Recipe("two-mirrors", tuple(p), materials, {"lamp": scaled(E, tint)}, 2.2, pinhole(640, 480, 390), (640, 480),
+                  look((1.72, .92, 1.52), (2.35, 3.4, 1.16)), surfaces=surfaces, about="Two mirrors that face each other; the lamp's emittance is known")
+
+
 # ---- stereo scenes -----------------------------------------------------------------------------------------
 
 _BUREAU = {
@@ -708,3 +1006,6 @@ _RECIPES = {"office": office, "office-1": lambda: office(1), "office-2": lambda:
 NAMES = tuple(_RECIPES)
 _STEREO = {"office-stereo": office_stereo, "office-stereo-1": lambda: office_stereo(1), "office-stereo-grey": lambda: office_stereo(2)}
 STEREO_NAMES = tuple(_STEREO)
+_KINDS = {"office-mirror": office_mirror, "office-coloured-mirror": office_coloured_mirror, "desk-glossy": desk_glossy, "desk-brushed": desk_brushed,
+          "poster": poster, "two-mirrors": two_mirrors}
+KIND_NAMES = tuple(_KINDS)

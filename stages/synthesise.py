@@ -49,7 +49,7 @@ def options():
 def main(opt):
     from lib import recipes, synthesis
 
-    known = recipes.NAMES + recipes.STEREO_NAMES
+    known = recipes.NAMES + recipes.STEREO_NAMES + recipes.KIND_NAMES
     if opt.scene not in known:
         raise stage.BadInput(f"--scene: {opt.scene!r} is not one of {', '.join(known)}")
     if opt.passes < 2:
