@@ -61,7 +61,7 @@ def texture(surface: Surface, mesh: Mesh, lamps, E, indirect, exposed, rho_facet
     sides = np.unique(mesh.side)
     size = surface.size[sides // 2]
     step = np.sqrt(max(size.prod(axis=1).sum(), 1e-300) / texels)
-    count = np.clip(np.ceil(size / step), 1, 4096).astype(np.int64)
+    count = np.clip(np.ceil(size / step), 3, 4096).astype(np.int64)       # of a rim half inside a solid at least one lies outside
     n = count.prod(axis=1)
     start = np.full(2 * len(surface.normal), -1, np.int64)
     start[sides] = np.concatenate([[0], np.cumsum(n)[:-1]])

@@ -20,10 +20,12 @@ SUB = 4              # sub-pixels across a mixed pixel of the virtual picture
 
 @dataclass
 class Reflections:
-    """linear : (H, W, C) what specular surfaces add;  facet : (H, W) int32 in the virtual picture, -1;  chain : (H, W);  seen : (H, W, C) virtual, before mirrors"""
+    """linear : (H, W, C) what specular surfaces add;  facet : (H, W) int32 in the virtual picture, -1;  chain : (H, W)
+    indirect : (H, W, C) irradiance that lamps do not send at once, at the places of the virtual picture"""
     linear: np.ndarray
     facet: np.ndarray
     chain: np.ndarray
+    indirect: np.ndarray = None
     facts: dict = field(default_factory=dict)
 
 
@@ -54,8 +56,11 @@ def picture(scene, lit, emitted, *, n_rays, shadow_rays, contact, tolerance, lob
         factor, _ = illumination.direct(surface, lit.lamps, len(lit.E), virtual, None, many=shadow_rays)
         irradiance = factor @ lit.E
         leaves = illumination.gather(surface, lit.shown, lit.lamps, lit.E, virtual, irradiance, n_rays=n_rays, contact=contact, tolerance=tolerance)
-        B = emitted(irradiance + illumination.interpolated(leaves, virtual), virtual.facet, virtual.side, virtual.p)
+        indirect = illumination.interpolated(leaves, virtual)
+        B = emitted(irradiance + indirect, virtual.facet, virtual.side, virtual.p)
         out.linear[virtual.y, virtual.x] = B * power[chain[virtual.y, virtual.x]]
+        out.indirect = np.zeros((H, W, C))
+        out.indirect[virtual.y, virtual.x] = indirect
         glossy = np.flatnonzero((view.facet >= 0) & (np.append(finish.kind, 0)[of[np.maximum(view.facet, 0)]] == specular.GLOSSY))
         places.append((mirror[glossy], view.p[glossy], view.facet[glossy], view.direction[glossy], view.chain[glossy]))
         out.facts["mirror_pixels"] = len(mirror)
@@ -91,16 +96,16 @@ def _label(facet, chain):
 
 
 def _smooth_edges(scene, lit, out, emitted, mirror):
-    """Mix, in place, the mirror's pixels that have a neighbour in the mirror which shows another facet or came another way."""
+    """Render anew, in place, from SUB x SUB places each, the mirror's pixels that lie beside an edge of the virtual picture: they are mixed,
+    or a shadow in the corner there falls on a part of them."""
     H, W = scene.facet.shape
     inside = np.zeros((H, W), bool)
     inside.reshape(-1)[mirror] = True
     label = np.where(inside, _label(out.facet, out.chain), -2)
     edge = np.zeros((H, W), bool)
-    for axis in (0, 1):
-        a, b = ([slice(None)] * 2 for _ in range(2))
-        a[axis], b[axis] = slice(1, None), slice(None, -1)
-        a, b = tuple(a), tuple(b)
+    for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)):
+        a = (slice(dy, None), slice(max(dx, 0), W + min(dx, 0)))
+        b = (slice(None, H - dy), slice(max(-dx, 0), W - max(dx, 0)))
         differs = (label[a] != label[b]) & inside[a] & inside[b]
         edge[a] |= differs
         edge[b] |= differs
@@ -109,40 +114,50 @@ def _smooth_edges(scene, lit, out, emitted, mirror):
         return
     offset = (np.arange(SUB) + 0.5) / SUB - 0.5
     dy, dx = (d.ravel() for d in np.meshgrid(offset, offset, indexing="ij"))
-    view_of = specular.through_mirrors(scene.surface, scene.finish, lit.ways.chains, _rays(scene, (x[:, None] + dx).ravel(), (y[:, None] + dy).ravel()))
-    wanted = _label(view_of.facet, view_of.chain)
-    rough = shade(scene, lit, view_of, emitted)
-    before = out.linear.copy()
-    out.linear[y, x] = _mixed(before, label, wanted.reshape(len(y), -1), rough.reshape(len(y), SUB * SUB, -1), y, x)
+    view = specular.through_mirrors(scene.surface, scene.finish, lit.ways.chains, _rays(scene, (x[:, None] + dx).ravel(), (y[:, None] + dy).ravel()))
+    B = shade(scene, lit, out, view, emitted, np.repeat(y, SUB * SUB), np.repeat(x, SUB * SUB))
+    out.linear[y, x] = B.reshape(len(y), SUB * SUB, -1).mean(axis=1)
     out.facts["mixed_pixels"] = len(y)
 
 
-def shade(scene, lit, view, emitted):
-    """(n, C) what rays through mirrors show, by the texture alone: for sub-pixels that have no neighbour to ask."""
+def shade(scene, lit, out, view, emitted, y, x):
+    """(n, C) what rays through mirrors show: lamps with few shadow rays each, other light from the pixels about (y, x) that show the
+    same, and from the texture where there are none."""
+    from lib import form_factors
     power = lit.ways.chains.power(lit.ways.rho_s)
     there = np.flatnonzero(view.facet >= 0)
     B = np.zeros((len(view.facet), scene.channels))
-    irradiance = illumination.looked_up(lit.shown.irradiance, lit.shown, scene.surface, view.p[there], view.side[there])
-    B[there] = emitted(irradiance, view.facet[there], view.side[there], view.p[there]) * power[view.chain[there]]
+    p, side = view.p[there], view.side[there].astype(np.int32)
+    irradiance = form_factors.direct(scene.surface, lit.lamps, p, form_factors.side_normals(scene.surface), side, len(lit.E), n_samples=4) @ lit.E
+    near, found = _beside(out.indirect, np.where(out.facet >= 0, _label(out.facet, out.chain), -2), _label(view.facet, view.chain)[there], y[there], x[there])
+    lost = np.flatnonzero(~found)
+    near[lost] = illumination.looked_up(lit.shown.between, lit.shown, scene.surface, p[lost], side[lost])
+    B[there] = emitted(irradiance + near, view.facet[there], side, p) * power[view.chain[there]]
+    glossy = there[np.isin(scene.surface.group[view.facet[there]], [g for g, k in zip(scene.finish.groups, scene.finish.kind) if k == specular.GLOSSY])]
+    if len(glossy):
+        B[glossy] += lobes(scene, lit, view.p[glossy], view.facet[glossy], view.direction[glossy], view.chain[glossy], 8)
     return B
 
 
 @njit(cache=True)
-def _mixed(values, label, wanted, rough, y, x):
+def _beside(values, label, wanted, y, x):
+    """The mean of the 3 x 3 pixels' values that bear the wanted label, and whether there is one."""
     H, W, C = values.shape
     out = np.zeros((len(y), C))
+    found = np.zeros(len(y), np.bool_)
     for i in range(len(y)):
-        for k in range(wanted.shape[1]):
-            n = 0
-            total = np.zeros(C)
-            for b in range(max(y[i] - 1, 0), min(y[i] + 1, H - 1) + 1):
-                for a in range(max(x[i] - 1, 0), min(x[i] + 1, W - 1) + 1):
-                    if label[b, a] == wanted[i, k]:
-                        n += 1
-                        total += values[b, a]
+        n = 0
+        for b in range(max(y[i] - 1, 0), min(y[i] + 1, H - 1) + 1):
+            for a in range(max(x[i] - 1, 0), min(x[i] + 1, W - 1) + 1):
+                if label[b, a] == wanted[i]:
+                    n += 1
+                    for c in range(C):
+                        out[i, c] += values[b, a, c]
+        if n > 0:
+            found[i] = True
             for c in range(C):
-                out[i, c] += (total[c] / n if n > 0 else rough[i, k, c]) / wanted.shape[1]
-    return out
+                out[i, c] /= n
+    return out, found
 
 
 def of_fragments(scene, lit, pieces, reflections):
@@ -155,12 +170,14 @@ def of_fragments(scene, lit, pieces, reflections):
     W = scene.facet.shape[1]
     sub = np.flatnonzero((pieces.owner >= 0) & (kind[np.maximum(pieces.owner, 0)] == specular.MIRROR))
     if len(sub):
+        if reflections.indirect is None:
+            reflections.indirect = np.zeros((*scene.facet.shape, scene.channels))
         owner = pieces.owner[sub]
         pixel = pieces.pixel[sub // 64]
         k = sub % 64
         rays = _rays(scene, pixel % W + (k % 8 + 0.5) / 8 - 0.5, pixel // W + (k // 8 + 0.5) / 8 - 0.5)
         view = specular.through_mirrors(surface, finish, lit.ways.chains, rays)
-        B = shade(scene, lit, view, lambda irradiance, facet, side, p: _emitted(scene, irradiance, facet, side, p))
+        B = shade(scene, lit, reflections, view, lambda irradiance, facet, side, p: _emitted(scene, irradiance, facet, side, p), pixel // W, pixel % W)
         n = np.maximum(np.bincount(owner, minlength=len(total)), 1)
         for c in range(scene.channels):
             total[:, c] += np.bincount(owner, B[:, c], len(total)) / n
