@@ -12,12 +12,19 @@ Names of errors are stable (tests/expected/<scene>.csv refers to them):
     reflectance.unidentified      counted groups without a value of their own
     reflectance.groups            counted groups
     small.<...>                   the same over groups too small to be counted
+    reflectance.only_in_mirror    mean |rho / rho* - 1| of the diffuse groups that are seen in mirrors alone; ..._groups: how many
+    kinds.right, kinds.groups     share of the groups of 200 pixels or more whose kind is the true one; how many they are
+    mirror.rho_s                  largest |rho_s - rho_s*| of mirrors, coloured ones too
+    glossy.rho_d, glossy.rho_s    largest absolute; glossy.alpha: largest relative, along both axes; glossy.tangent: largest angle, up to sign
+    mirror.within_3_sigma, glossy.within_3_sigma       share of those numbers
+    texture.rmse, texture.rho_d   of the albedo at the pixels that show a textured group; largest error of a group's mean
     gamma.absolute, gamma.in_sigmas          lamp.mean_relative, lamp.max_relative (lamps that were unknown)
     index.differ, index.differ_all           share of pixels of another group: away from edges, and of all
     object.differ, object.differ_all         depth.median_relative
     render.rmse, render.ciede2000            against the photograph, from rendered.json
 
-Counted is a group with at least 500 pixels in truth's group image that is neither a lamp nor given as a reference.
+Counted is a diffuse group with at least 500 pixels in truth's group image that is neither a lamp nor given as a reference.  What a
+group is, truth says: a mirror found to be diffuse counts among the mirrors.  Where truth and result are all diffuse there are no kinds.
 """
 from __future__ import annotations
 
@@ -29,8 +36,12 @@ from lib import artefact
 from lib.stage import BadInput
 
 ENOUGH_PX = 500
+KIND_PX = 200                                   # of a group whose kind is judged
+EVEN = 1.15                                     # alpha_x / alpha_y below which a lobe has no direction to speak of
+MIRRORS = ("mirror", "coloured_mirror")
 COLUMNS = ("scene", "stage", "error", "value", "unit", "against", "wall_s", "cpu_s", "peak_mb", "status")
 CHANNELS = ("rho_d", "rho_s")
+SIZES = {**dict.fromkeys(CHANNELS, 3), "alpha": 2}
 
 
 # ---- what is read ----
@@ -43,9 +54,9 @@ def read_materials(path):
     def number(value):
         return isinstance(value, (int, float)) and not isinstance(value, bool)
 
-    def triple(where, value):
-        if value is not None and not (isinstance(value, list) and len(value) == 3 and all(map(number, value))):
-            problems.append(f"{path}: {where} = {value!r} is neither null nor three numbers")
+    def numbers(where, value, n=3):
+        if value is not None and not (isinstance(value, list) and len(value) == n and all(map(number, value))):
+            problems.append(f"{path}: {where} = {value!r} is neither null nor {'three' if n == 3 else 'two'} numbers")
 
     if not isinstance(materials, dict) or not isinstance(materials.get("groups"), dict):
         raise BadInput(f"{path}: groups: missing, or not a table of groups")
@@ -54,19 +65,40 @@ def read_materials(path):
             if not isinstance(entry, dict):
                 problems.append(f"{path}: {field}.{name} = {entry!r} is not a table")
                 continue
-            for key in (*CHANNELS, "emittance"):
-                triple(f"{field}.{name}.{key}", entry.get(key))
+            for key, n in (*SIZES.items(), ("emittance", 3), ("tangent", 3)):
+                numbers(f"{field}.{name}.{key}", entry.get(key), n)
+            if not isinstance(entry.get("kind"), str | None):
+                problems.append(f"{path}: {field}.{name}.kind = {entry['kind']!r} is neither null nor a word")
+            for key in ("texture", "ladder"):
+                if entry.get(key) is not None and not isinstance(entry[key], dict):
+                    problems.append(f"{path}: {field}.{name}.{key} = {entry[key]!r} is neither null nor a table")
             sigma = entry.get("sigma")
             if field == "lamps":
-                triple(f"{field}.{name}.sigma", sigma)
+                numbers(f"{field}.{name}.sigma", sigma)
             elif sigma is not None and not isinstance(sigma, dict):
                 problems.append(f"{path}: {field}.{name}.sigma = {sigma!r} is not a table")
             else:
-                for key in CHANNELS:
-                    triple(f"{field}.{name}.sigma.{key}", (sigma or {}).get(key))
+                for key, n in SIZES.items():
+                    numbers(f"{field}.{name}.sigma.{key}", (sigma or {}).get(key), n)
+                if (turn := (sigma or {}).get("tangent_rad")) is not None and not number(turn):
+                    problems.append(f"{path}: {field}.{name}.sigma.tangent_rad = {turn!r} is neither null nor a number")
     if problems:
         raise BadInput(*problems)
     return materials
+
+
+def texture_files(path, materials):
+    """{group: {facet: file}} of materials.json at path: their names are as seen from its folder.  BadInput: a facet that is no number."""
+    result, problems = {}, []
+    for name, entry in materials["groups"].items():
+        for facet, file in (entry.get("texture") or {}).items():
+            if facet.isdecimal() and isinstance(file, str):
+                result.setdefault(name, {})[int(facet)] = Path(path).parent / file
+            else:
+                problems.append(f"{path}: groups.{name}.texture.{facet} = {file!r} is not a facet's number and a file")
+    if problems:
+        raise BadInput(*problems)
+    return result
 
 
 def read_reports(paths):
@@ -92,7 +124,7 @@ def given(materials, reports):
     told = ((reports.get("fit") or {}).get("arguments") or {})
     reference = set(told["reference"] or ()) if isinstance(told.get("reference"), dict) else {
         name for name, g in materials["groups"].items()
-        if g.get("rho_d") is not None and (g.get("sigma") or {}).get("rho_d") == [0, 0, 0]}
+        if g.get("rho_d") is not None and g.get("kind") not in MIRRORS and (g.get("sigma") or {}).get("rho_d") == [0, 0, 0]}
     lamps = told.get("lamps")
     known = {name for name, lamp in (materials.get("lamps") or {}).items()
              if (lamps.get(name) != "unknown" if isinstance(lamps, dict) else not lamp.get("sigma"))}
@@ -117,21 +149,43 @@ def reflectances(materials, truth, pixels, reference=(), enough_px=ENOUGH_PX):
             continue
         found = materials["groups"].get(name) or {}
         n = int(pixels.get(name, 0))
+        kind = true.get("kind") or "diffuse"
         entry = {"pixels": n, "given": name in reference, "identified": bool(found.get("identified", True)) and found.get("rho_d") is not None,
-                 "counted": n >= enough_px and name not in reference}
-        for key in CHANNELS:
+                 "counted": n >= enough_px and name not in reference and kind == "diffuse", "kind": [found.get("kind") or "diffuse", kind]}
+        sigma = found.get("sigma") or {}
+        for key in SIZES:
             value, true_value = found.get(key), true.get(key)
             if true_value is None or (key != "rho_d" and not any(true_value) and not any(value or ())):
                 continue
-            entry[key] = {"truth": true_value}
-            if value is not None:
-                sigma = (found.get("sigma") or {}).get(key)
-                absolute = [a - b for a, b in zip(value, true_value)]
-                entry[key] |= {"value": value, "sigma": sigma, "absolute": absolute,
-                               "relative": [d / t if t else None for d, t in zip(absolute, true_value)],
-                               "in_sigmas": [d / s if s else (0.0 if d == 0 else None) for d, s in zip(absolute, sigma or (None,) * 3)]}
+            entry[key] = _deviation(value, true_value, sigma.get(key))
+        if true.get("tangent") and true.get("alpha") and true["alpha"][0] > EVEN * true["alpha"][1]:
+            entry["tangent"] = _turn(found.get("tangent"), true["tangent"], sigma.get("tangent_rad"))
         result[name] = entry
     return result
+
+
+def _deviation(value, truth, sigma):
+    """What compare.json says of some numbers, in truth and as they were found (None: they were not)."""
+    if value is None:
+        return {"truth": truth}
+    absolute = [a - b for a, b in zip(value, truth)]
+    return {"truth": truth, "value": value, "sigma": sigma, "absolute": absolute, "relative": [d / t if t else None for d, t in zip(absolute, truth)],
+            "in_sigmas": [d / s if s else (0.0 if d == 0 else None) for d, s in zip(absolute, sigma or (None,) * len(truth))]}
+
+
+def _turn(value, truth, sigma_rad):
+    """The same of a direction up to its sign; either may be of any length.
+
+    >>> _turn([0, -1, 0], [0, 1, 0], None)["degrees"], round(_turn([1, 1, 0], [1, 0, 0], math.radians(15))["in_sigmas"][0], 9)
+    ([0.0], 3.0)
+    """
+    if not value or not any(value):
+        return {"truth": truth}
+    (x, y, z), (u, v, w) = value, truth
+    cross = math.hypot(y * w - z * v, z * u - x * w, x * v - y * u)
+    degrees = math.degrees(math.atan2(cross, abs(x * u + y * v + z * w)))
+    sigma = None if sigma_rad is None else math.degrees(sigma_rad)
+    return {"truth": truth, "value": value, "degrees": [degrees], "sigma": sigma, "in_sigmas": [degrees / sigma if sigma else None]}
 
 
 def _summary(groups, prefix):
@@ -150,6 +204,121 @@ def _summary(groups, prefix):
         errors.append(("median_sigma", median(sigma)))
     errors += [("unidentified", sum(not g["identified"] for g in groups)), ("groups", len(groups))]
     return [(f"{prefix}.{name}", value, "groups" if name in ("unidentified", "groups") else "1") for name, value in errors]
+
+
+# ---- the ladder: kinds, mirrors, lobes, textures ----
+
+def _kinds(groups, named, add, details):
+    """Is each group what it is?  Not asked of groups whose kind scene.yaml names, nor where all is diffuse, in truth and as found."""
+    judged = {n: g["kind"] for n, g in groups.items() if g["identified"] and not g["given"] and g["pixels"] >= KIND_PX and n not in named}
+    if {kind for pair in judged.values() for kind in pair} - {"diffuse"}:
+        details["kinds"] = {n: pair for n, pair in judged.items() if pair[0] != pair[1]}
+        add("fit", "kinds.right", 1 - len(details["kinds"]) / len(judged))
+        add("fit", "kinds.groups", len(judged), "groups")
+
+
+def _shares(groups, add):
+    """Of mirrors and glossy groups: the largest error of each kind of number, and how many lie within their sigma."""
+    def worst(key, how):
+        return max((abs(v) for g in members for v in g.get(key, {}).get(how, ()) if v is not None), default=None)
+
+    for prefix, kinds, keys in (("mirror", MIRRORS, ("rho_s",)), ("glossy", ("glossy",), ("rho_d", "rho_s", "alpha", "tangent"))):
+        members = [g for g in groups.values() if g["kind"][1] in kinds and g["identified"] and not g["given"] and g["pixels"] >= KIND_PX]
+        for key in keys:
+            how, unit = {"alpha": ("relative", "1"), "tangent": ("degrees", "deg")}.get(key, ("absolute", "1"))
+            add("fit", f"{prefix}.{key}", worst(key, how), unit)
+        z = [s for g in members for key in keys for s in _once(g.get(key, {}))]
+        if z:
+            add("fit", f"{prefix}.within_3_sigma", sum(s is not None and abs(s) <= 3 + 1e-9 for s in z) / len(z))
+
+
+def _once(deviation):
+    """Its in_sigmas; of a round lobe that is round in truth too, alpha once."""
+    z = deviation.get("in_sigmas", [])
+    pairs = list(zip(deviation["truth"], deviation["value"])) if len(z) == 2 else ()
+    return z[:1] if pairs and pairs[0] == pairs[1] else z
+
+
+def _only_in_mirrors(materials, groups, add):
+    """The diffuse groups that the camera does not see, and whose reflectance is found all the same: where there is a mirror, by way of it."""
+    if not any(g.get("kind") in MIRRORS for g in materials["groups"].values()):
+        return
+    members = [g for g in groups.values() if g["identified"] and not g["given"] and g["pixels"] == 0 and g["kind"][1] == "diffuse"]
+    relative = [abs(r) for g in members for r in g["rho_d"]["relative"] if r is not None]
+    if relative:
+        add("fit", "reflectance.only_in_mirror", sum(relative) / len(relative))
+        add("fit", "reflectance.only_in_mirror_groups", len(members), "groups")
+
+
+def read_textures(path):
+    """{group: (image (h, w, C), origin (3,), axes (2, 3))} of truth/textures.json: the outer corner of pixel [0, 0], m, and the
+    whole length of row 0 and of column 0 from there."""
+    import numpy as np
+    from lib import image
+
+    result = {}
+    table = artefact.read_json(path)
+    for group, entry in (table.items() if isinstance(table, dict) else [("", table)]):
+        try:
+            place = np.array([entry[key] for key in ("origin", "u", "v")], float).reshape(3, 3)
+            file = Path(path).parent / entry["file"]
+        except (KeyError, TypeError, ValueError):
+            raise BadInput(f"{path}: {group}: has not file, origin, u and v of a texture") from None
+        picture = image.read_exr(file)
+        result[group] = picture if picture.ndim == 3 else picture[..., None], place[0], place[1:]
+    return result
+
+
+def bilinear(picture, origin, axes, p):
+    """(M, C) of a picture that lies in space (`read_textures`) at places p (M, 3): bilinear between centres of pixels, constant beyond.
+
+    >>> import numpy as np
+    >>> two = np.array([[[0.2], [0.6]]])                                     # one row of two pixels, 2 m long and 1 m high
+    >>> bilinear(two, np.zeros(3), np.array([[2.0, 0, 0], [0, 1, 0]]), np.array([[0.5, 0.3, 0], [1, 0.9, 0], [7, 0, 0]])).round(9).ravel()
+    array([0.2, 0.4, 0.6])
+    """
+    import numpy as np
+    from scipy.ndimage import map_coordinates
+
+    h, w, C = picture.shape
+    s, t = np.linalg.pinv(axes.T) @ (p - origin).T
+    at = [t * h - 0.5, s * w - 0.5]
+    return np.stack([map_coordinates(np.asarray(picture[..., c], float), at, order=1, mode="nearest") for c in range(C)], axis=1)
+
+
+def albedos(model, camera, facet, materials, textures, true_textures):
+    """{group: (ours (M, 3), truth (M, 3))} at all pixels that show a group of which truth has the texture.
+
+    facet : (H, W) model facet + 1;  textures : {facet: textures.Texture} as found: of other facets the group's rho_d counts
+    true_textures : {group: ...} from `read_textures`
+    """
+    import numpy as np
+    from lib import gather, mesh, textures as found
+
+    surface = mesh.surface(model)
+    shown = facet.reshape(-1).astype(np.int64) - 1
+    result = {}
+    for name in true_textures.keys() & {*model.groups}:
+        constant = (materials["groups"].get(name) or {}).get("rho_d")
+        pixel = np.flatnonzero((shown >= 0) & (surface.group[np.maximum(shown, 0)] == model.groups.index(name)))
+        if constant is None or not len(pixel):
+            continue
+        p, _ = gather.backproject(surface, camera, shown[pixel], pixel)
+        ours = np.tile(np.array(constant, float), (len(pixel), 1))
+        for f in textures.keys() & {*shown[pixel].tolist()}:
+            ours[shown[pixel] == f] = found.lookup(textures[f], surface, p[shown[pixel] == f])
+        true = bilinear(*true_textures[name], p * surface.local.diagonal + surface.local.centre)
+        result[name] = ours, np.broadcast_to(true, ours.shape)
+    return result
+
+
+def _textures(albedo, groups, add, details):
+    """RMSE over all pixels that show textured groups; per group beside it."""
+    squares = {n: (float(((ours - true) ** 2).mean()), len(ours)) for n, (ours, true) in (albedo or {}).items() if n in groups}
+    if squares:
+        details["textures"] = {n: {"rmse": math.sqrt(s), "pixels": m} for n, (s, m) in squares.items()}
+        add("fit", "texture.rmse", math.sqrt(sum(s * m for s, m in squares.values()) / sum(m for _, m in squares.values())))
+        add("fit", "texture.rho_d", max((abs(d) for n in squares for d in groups[n]["rho_d"].get("absolute", ())), default=None))
 
 
 def median(values):
@@ -196,10 +365,11 @@ def differ(labels, names, true_labels, true_names):
 
 # ---- all of it ----
 
-def against_truth(*, materials=None, reports=None, truth=None, images=None, true_images=None, legend=None, true_legend=None, scores=None):
+def against_truth(*, materials=None, reports=None, truth=None, images=None, true_images=None, legend=None, true_legend=None, scores=None,
+                  albedo=None):
     """(errors [{stage, name, value, unit, against}], details for compare.json) from what there is.
 
-    images, true_images : {"group", "object": (H, W) int; "depth": (H, W) float}
+    images, true_images : {"group", "object": (H, W) int; "depth": (H, W) float};  albedo : from `albedos`
     """
     reports, images, true_images = reports or {}, images or {}, true_images or {}
     errors, details = [], {}
@@ -218,10 +388,14 @@ def against_truth(*, materials=None, reports=None, truth=None, images=None, true
         reference, known_lamps = given(materials, reports)
         groups = details["groups"] = reflectances(materials, truth, pixels, reference)
         for prefix, members in (("reflectance", [g for g in groups.values() if g["counted"]]),
-                                ("small", [g for g in groups.values() if not g["counted"] and not g["given"] and g["pixels"] > 0])):
+                                ("small", [g for g in groups.values() if not g["counted"] and not g["given"] and g["pixels"] > 0 and g["kind"][1] == "diffuse"])):
             if members:
                 for name, value, unit in _summary(members, prefix):
                     add("fit", name, value, unit)
+        _only_in_mirrors(materials, groups, add)
+        _kinds(groups, ((reports.get("fit") or {}).get("arguments") or {}).get("surfaces") or (), add, details)
+        _shares(groups, add)
+        _textures(albedo, groups, add, details)
         _transfer(materials, truth, add, details)
         _lamps(materials, truth, known_lamps, add, details)
     if legend and true_names:

@@ -8,7 +8,8 @@ reads   reports       <stage>.report.json, in the order of the pipeline
         materials, scores (rendered.json), group, object, depth, legend      what came out; each may be missing
         lens, camera, posed, lens_right, camera_right, calibration, regions, facets, pose, model      of the vision half, likewise
         truth         a folder: materials.json group.png object.png depth.exr legend.json left.cameramodel right.cameramodel
-                      left.posed.cameramodel calibration.json disparity.png, each as it may be there.  No other stage reads it
+                      left.posed.cameramodel calibration.json disparity.png textures.json, each as it may be there.  No other stage reads it
+        and the textures that materials and truth name
 writes  scorecard     scene,stage,error,value,unit,against,wall_s,cpu_s,peak_mb,status
         comparison    the same errors, and per group and channel the value, the truth, their difference in sigmas
 """
@@ -53,6 +54,18 @@ def seen(opt, true, images):
     return {**images, **{name: readers[name](getattr(opt, name)) for name in VISION if getattr(opt, name)}}, known
 
 
+def albedos(opt, true, report, materials, facet):
+    """Ours and the true ones of textured groups, for comparing; None where there is no truth of them, or no geometry to look it up with."""
+    if not (materials and facet is not None and opt.model and opt.posed and "textures.json" in true):
+        return None
+    with report.excluded("imports"):
+        from lib import cameras, comparing, model, textures
+    ours = {f: path for files in comparing.texture_files(opt.materials, materials).values() for f, path in files.items()}
+    report.inputs += map(str, ours.values())
+    return comparing.albedos(model.load(opt.model), cameras.read_cameramodel(opt.posed), facet, materials, {f: textures.read(path) for f, path in ours.items()},
+                             comparing.read_textures(true["textures.json"]))
+
+
 def main(opt):
     from lib import artefact, comparing
     from lib.report import Report
@@ -85,10 +98,13 @@ def main(opt):
         for name in ours.keys() & theirs.keys():
             if ours[name].shape != theirs[name].shape:
                 report.warning(f"{true[name]}: {theirs[name].shape[1]} x {theirs[name].shape[0]} is not the size of {getattr(opt, name)}: not compared")
+        materials, facet = read(opt.materials, comparing.read_materials), read(opt.facet, image.read_labels)
         errors, details = comparing.against_truth(
-            materials=read(opt.materials, comparing.read_materials), truth=read(true.get("materials.json"), comparing.read_materials),
-            reports=reports, images=ours, true_images=theirs, legend=legend, true_legend=true_legend, scores=read(opt.scores, artefact.read_json))
-        for place, name, value, unit in vision_errors.against_truth(*seen(opt, true, {**ours, "facet": read(opt.facet, image.read_labels)})):
+            materials=materials, truth=read(true.get("materials.json"), comparing.read_materials), reports=reports, images=ours, true_images=theirs,
+            legend=legend, true_legend=true_legend, scores=read(opt.scores, artefact.read_json), albedo=albedos(opt, true, report, materials, facet))
+        for name, (found, is_) in details.get("kinds", {}).items():
+            report.warning(f"group {name!r} is found {found.replace('_', ' ')}; in truth it is {is_.replace('_', ' ')}")
+        for place, name, value, unit in vision_errors.against_truth(*seen(opt, true, {**ours, "facet": facet})):
             errors.append({"stage": place, "name": name, "value": value, "unit": unit, "against": "truth"})
         for error in errors:
             report.error(error["name"], error["value"], unit=error["unit"], against=error["against"])

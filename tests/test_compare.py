@@ -1,12 +1,15 @@
 """Comparing with truth: by hand, at the edge, from outside; and the two-sided bounds."""
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lib import comparing, image
+from lib import cameras, comparing, image, mesh, model, textures
 from lib.stage import BadInput
+from tests import rooms
+from tests.test_textures import FRONT, SQUARE, look
 
 
 def group(rho, sigma=0.01, **more):
@@ -101,6 +104,136 @@ def test_edges_are_symmetric():
             assert (inner == 0) == (abs(y - 3) <= 1 and abs(x - 3) <= 1), (x, y)
 
 
+# ---- the ladder: kinds, mirrors, lobes, textures ----
+
+def shiny(kind, rho_s, alpha=None, tangent=None, rho_d=(0, 0, 0), sigma=None):
+    return group(list(rho_d), None) | {"kind": kind, "rho_s": list(rho_s), "alpha": alpha, "tangent": tangent, "sigma": sigma}
+
+
+def test_mirrors_and_lobes_by_hand():
+    truth = {"wall": group([0.5] * 3), "glass": shiny("mirror", [1, 1, 1]), "brass": shiny("coloured_mirror", [0.9, 0.8, 0.5]),
+             "tin": shiny("glossy", [0.3] * 3, [0.05, 0.05], rho_d=[0.1] * 3), "steel": shiny("glossy", [0.4] * 3, [0.2, 0.1], [0, 1, 0], [0.08] * 3)}
+    found = {"wall": group([0.51] * 3, 0.01), "glass": shiny("mirror", [1, 1, 1], sigma={"rho_d": [0, 0, 0], "rho_s": [0, 0, 0]}),
+             "brass": shiny("coloured_mirror", [0.9, 0.82, 0.5], sigma={"rho_s": [0.01, 0.005, 0.01]}),
+             "tin": shiny("glossy", [0.3] * 3, [0.055, 0.055], rho_d=[0.11, 0.1, 0.1], sigma={"rho_d": [0.001] * 3, "rho_s": [0.001] * 3, "alpha": [0.002] * 2}),
+             "steel": shiny("glossy", [0.4, 0.4, 0.43], [0.2, 0.11], [0.1, -1, 0], [0.08] * 3,
+                            {"rho_d": [0.001] * 3, "rho_s": [0.02] * 3, "alpha": [0.01] * 2, "tangent_rad": 0.04})}
+    images, legend = labelled(wall=500, glass=500, brass=300, tin=200, steel=700)
+    e = errors(materials=materials(found), truth=materials(truth), true_images=images, true_legend=legend)
+    assert e["kinds.right"] == 1 and e["kinds.groups"] == 5
+    assert e["reflectance.groups"] == 1 and e["reflectance.mean_relative"] == pytest.approx(0.02) and "small.groups" not in e
+    assert e["mirror.rho_s"] == pytest.approx(0.02) and e["mirror.within_3_sigma"] == pytest.approx(5 / 6)
+    assert e["glossy.rho_d"] == pytest.approx(0.01) and e["glossy.rho_s"] == pytest.approx(0.03) and e["glossy.alpha"] == pytest.approx(0.1)
+    assert e["glossy.tangent"] == pytest.approx(np.degrees(np.arctan(0.1)))
+    assert e["glossy.within_3_sigma"] == pytest.approx(15 / 16)        # a round alpha counts once: 3 + 3 + 1 and 3 + 3 + 2 + 1
+
+
+def test_a_lobe_that_is_nearly_round_has_no_direction():
+    images, legend = labelled(steel=500)
+    for long, there in ((0.114, False), (0.116, True)):
+        truth = materials({"steel": shiny("glossy", [0.4] * 3, [long, 0.1], [1, 0, 0])})
+        found = materials({"steel": shiny("glossy", [0.4] * 3, [0.2, 0.1], [0, 1, 0])})
+        assert ("glossy.tangent" in errors(materials=found, truth=truth, true_images=images, true_legend=legend)) is there
+
+
+def test_wrong_kinds_are_listed_and_truth_says_what_a_group_is():
+    """A mirror taken for diffuse counts among the mirrors, with all its rho_s; a glossy wall that is none keeps its diffuse error."""
+    truth = {"wall": group([0.5] * 3), "glass": shiny("mirror", [1, 1, 1]), "tin": shiny("glossy", [0.3] * 3, [0.05, 0.05]), "door": group([0.5] * 3),
+             "chip": shiny("mirror", [1, 1, 1])}
+    found = {"wall": shiny("glossy", [0.05] * 3, [0.2, 0.2], rho_d=[0.4] * 3), "glass": group([0.6] * 3), "tin": shiny("glossy", [0.3] * 3, [0.05, 0.05]),
+             "door": group([0.5] * 3), "chip": group([0.1] * 3)}
+    images, legend = labelled(wall=500, glass=500, tin=500, door=500, chip=199)
+    parts = {"materials": materials(found), "truth": materials(truth), "true_images": images, "true_legend": legend}
+    every, details = comparing.against_truth(**parts)
+    e = {x["name"]: x["value"] for x in every}
+    assert e["kinds.right"] == 0.5 and e["kinds.groups"] == 4 and details["kinds"] == {"wall": ["glossy", "diffuse"], "glass": ["diffuse", "mirror"]}
+    assert e["mirror.rho_s"] == 1 and e["mirror.within_3_sigma"] == 0 and e["glossy.rho_s"] == 0
+    assert e["reflectance.groups"] == 2 and e["reflectance.max_relative"] == pytest.approx(0.2)
+    named = {"fit": {"arguments": {"surfaces": {"glass": "diffuse", "tin": "glossy"}}}}
+    assert errors(**parts, reports=named)["kinds.groups"] == 2         # what scene.yaml says is no finding
+
+
+def test_where_all_is_diffuse_there_are_no_kinds():
+    images, legend = labelled(wall=500, tin=500)
+    truth, found = materials({"wall": group([0.5] * 3), "tin": group(None)}), materials({"wall": group([0.5] * 3), "tin": group([0.5] * 3)})
+    names = set(errors(materials=found, truth=truth, true_images=images, true_legend=legend))
+    assert not any(name.startswith(("kinds", "mirror", "glossy", "texture", "reflectance.only")) for name in names)
+    found["groups"]["wall"] |= {"kind": "glossy"}                      # a wrong one is said even there
+    assert errors(materials=found, truth=truth, true_images=images, true_legend=legend)["kinds.right"] == 0
+
+
+def test_groups_that_only_a_mirror_shows():
+    truth = materials({"glass": shiny("mirror", [1, 1, 1]), "books": group([0.5] * 3), "attic": group([0.5] * 3), "card": group([0.5] * 3)})
+    found = materials({"glass": shiny("mirror", [1, 1, 1]), "books": group([0.51] * 3), "attic": group(None), "card": group([0.5] * 3, 0)})
+    images, legend = labelled(glass=900)
+    parts = {"materials": found, "truth": truth, "true_images": images, "true_legend": legend}
+    e = errors(**parts)
+    assert e["reflectance.only_in_mirror"] == pytest.approx(0.02) and e["reflectance.only_in_mirror_groups"] == 1
+    found["groups"]["glass"]["kind"] = "diffuse"
+    assert "reflectance.only_in_mirror" not in errors(**parts)
+
+
+# over the unit square: a picture of two pixels, 0.2 on one side and 0.6 on the other
+STRIPES = np.array([[[0.2] * 3, [0.6] * 3]])
+
+
+@pytest.fixture
+def square(tmp_path):
+    """A folder with a square of one group, `poster`, its posed camera, the facets seen, and its true texture."""
+    (tmp_path / "truth").mkdir()
+    rooms.write(tmp_path / "model.obj", SQUARE)
+    camera = look(*FRONT, (128, 128), 120.0)
+    cameras.write_cameramodel(tmp_path / "posed.cameramodel", camera)
+    facet = np.zeros((128, 128), int)
+    facet[20:108, 20:108] = 1
+    image.write_png16(tmp_path / "facet.png", facet)
+    image.write_exr(tmp_path / "truth/texture-0.exr", STRIPES)
+    (tmp_path / "truth/textures.json").write_text(json.dumps({"panel": {"file": "texture-0.exr", "origin": [0, 0, 0], "u": [1, 0, 0], "v": [0, 1, 0]}}))
+    return tmp_path
+
+
+def found_texture(folder, off=0.0):
+    """What fit would have written of it: two texels to a side, each `off` beside the truth; returns its name."""
+    surface = mesh.surface(model.load(folder / "model.obj"))
+    middles = (np.arange(2) + 0.5) / 2
+    p = surface.origin[0] + middles[:, None, None] * surface.size[0, 0] * surface.axes[0, 0] + middles[:, None] * surface.size[0, 1] * surface.axes[0, 1]
+    x = (p * surface.local.diagonal + surface.local.centre)[..., :1]
+    ones = np.ones((2, 2), np.float32)
+    corners = (surface.origin[0] + np.stack([np.zeros(3), *(surface.size[0][:, None] * surface.axes[0])])) * surface.local.diagonal + surface.local.centre
+    albedo = np.repeat(np.where(x < 0.5, 0.2, 0.6) + off, 3, axis=2).astype(np.float32)
+    return Path(textures.write(folder, textures.Texture(0, albedo, ones, ones, ones, np.full(3, 0.4), corners, 0))).name
+
+
+@pytest.mark.parametrize("off", [0.0, 0.05])
+def test_albedo_of_a_texture_at_the_pixels_that_show_it(square, off):
+    albedo = comparing.albedos(model.load(square / "model.obj"), cameras.read_cameramodel(square / "posed.cameramodel"), image.read_labels(square / "facet.png"),
+                               materials({"panel": group([0.4] * 3)}), {0: textures.read(square / found_texture(square, off))}, comparing.read_textures(square / "truth/textures.json"))
+    ours, true = albedo["panel"]
+    assert ours.shape == true.shape == (88 * 88, 3) and ours == pytest.approx(true + off, abs=1e-6)
+    assert true.min() == pytest.approx(0.2) and true.max() == pytest.approx(0.6)
+    truth, found = (materials({"panel": group(rho) | {"kind": kind}}) for rho, kind in (([0.4] * 3, "textured"), ([0.43, 0.4, 0.4], "textured")))
+    images, legend = labelled(panel=500)
+    e, details = comparing.against_truth(materials=found, truth=truth, true_images=images, true_legend=legend, albedo=albedo)
+    e = {x["name"]: x["value"] for x in e}
+    assert e["texture.rmse"] == pytest.approx(off, abs=1e-6) and e["texture.rho_d"] == pytest.approx(0.03) and "reflectance.groups" not in e
+    assert details["textures"]["panel"]["pixels"] == 88 * 88
+
+
+def test_without_a_texture_its_constant_counts(square):
+    """0.4 all over: 0.2 off on half of the square, and linearly between the pixels' centres: sqrt((0.04 + 0.04 / 3) / 2)."""
+    albedo = comparing.albedos(model.load(square / "model.obj"), look((0.5, 0.5, 1.1), (0.5, 0.5001, 0), (128, 128), 139.0), np.ones((128, 128), int),
+                               materials({"panel": group([0.4] * 3)}), {}, comparing.read_textures(square / "truth/textures.json"))
+    ours, true = albedo["panel"]
+    assert np.sqrt(((ours - true) ** 2).mean()) == pytest.approx(np.sqrt(0.08 / 3), abs=0.003)
+
+
+@pytest.mark.parametrize("text", ['{"panel": {"file": "texture-0.exr"}}', '{"panel": {"file": "x", "origin": [0, 0], "u": [1, 0, 0], "v": [0, 1, 0]}}', '{"panel": 3}', "[]"])
+def test_a_true_texture_without_its_place_is_refused(tmp_path, text):
+    (tmp_path / "textures.json").write_text(text)
+    with pytest.raises(BadInput, match="textures.json: .*has not file, origin, u and v of a texture"):
+        comparing.read_textures(tmp_path / "textures.json")
+
+
 def test_scorecard_has_a_row_for_every_stage_and_the_sum_of_times(tmp_path):
     reports = {"index": {"status": "complete", "cpu_s": 1, "wall_s": 2, "peak_mb": 10, "errors": []},
                "fit": {"status": "converged", "cpu_s": 0.5, "wall_s": 0.25, "peak_mb": 20, "errors": [{"name": "image", "value": 0.1, "unit": "1", "against": "photograph"}]},
@@ -185,6 +318,35 @@ def test_another_size_is_said_and_left_out(run, outputs):
     result = run(*command(outputs, group=outputs / "build/group.png", legend=outputs / "build/legend.json", truth=outputs / "truth"))
     assert result.returncode == 0 and "5 x 5 is not the size" in result.stderr
     assert "index.differ" not in (outputs / "out/scorecard.csv").read_text()
+
+
+def test_a_texture_and_a_wrong_kind_from_outside(run, square):
+    file = found_texture(square, 0.05)
+    entry = group([0.4] * 3) | {"kind": "textured", "texture": {"0": file}}
+    (square / "materials.json").write_text(json.dumps(materials({"panel": entry, "tin": group([0.3] * 3)})))
+    (square / "truth/materials.json").write_text(json.dumps(materials({"panel": entry, "tin": shiny("glossy", [0.3] * 3, [0.1, 0.1])})))
+    labels = np.concatenate([np.full((20, 128), 2), np.full((108, 128), 1)])
+    image.write_png16(square / "truth/group.png", labels)
+    (square / "truth/legend.json").write_text(json.dumps({"groups": ["panel", "tin"], "objects": [], "facets": []}))
+    words = command(square, materials=square / "materials.json", facet=square / "facet.png", model=square / "model.obj", posed=square / "posed.cameramodel", truth=square / "truth")
+    result = run(*words)
+    assert result.returncode == 0 and "group 'tin' is found diffuse; in truth it is glossy" in result.stderr, result.stderr
+    rows = {r["error"]: r["value"] for r in csv.DictReader((square / "out/scorecard.csv").read_text().splitlines())}
+    assert float(rows["texture.rmse"]) == pytest.approx(0.05, abs=1e-6) and rows["kinds.right"] == "0.5"
+    assert json.loads((square / "out/compare.json").read_text())["kinds"] == {"tin": ["diffuse", "glossy"]}
+    assert str(square / file) in json.loads((square / "out/compare.report.json").read_text())["inputs"]
+
+
+@pytest.mark.parametrize("change, line", [
+    ({"texture": {"0": "texture-9.exr"}}, "texture-9.json: there is no such file"), ({"texture": {"x": "texture-0.exr"}}, "groups.panel.texture.x = 'texture-0.exr' is not a facet's number"),
+    ({"texture": ["texture-0.exr"]}, "groups.panel.texture = ['texture-0.exr'] is neither null nor a table"), ({"alpha": [1]}, "groups.panel.alpha = [1] is neither null nor two numbers"),
+    ({"sigma": {"tangent_rad": "small"}}, "groups.panel.sigma.tangent_rad = 'small' is neither null nor a number"), ({"kind": 3}, "groups.panel.kind = 3 is neither null nor a word")])
+def test_a_group_that_cannot_be_read_is_one_line(refuses, square, change, line):
+    (square / "materials.json").write_text(json.dumps(materials({"panel": group([0.4] * 3) | change})))
+    words = command(square, materials=square / "materials.json", facet=square / "facet.png", model=square / "model.obj", posed=square / "posed.cameramodel", truth=square / "truth")
+    lines = refuses(*words)
+    assert len(lines) == 1 and line in lines[0], lines
+    assert not (square / "out").exists()
 
 
 @pytest.mark.parametrize("file, content, line", [
