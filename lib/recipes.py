@@ -769,7 +769,7 @@ def poster() -> Recipe:
     """A room with a printed poster on the wall and a woven rug on the floor, both textured; the rest is of one reflectance each."""
     x, y, z = 4.6, 3.8, 2.6
     turn = np.array([np.cos(.12), np.sin(.12), 0])
-    rug_at, across = np.array([2.30, 1.42, .012]), np.array([-turn[1], turn[0], 0])           # its corner; its long side is `across`
+    rug_at, across = np.array([2.98, 1.22, .012]), np.array([-turn[1], turn[0], 0])           # its corner; its long side is `across`
     textures = {"poster": Texture(poster_image(), np.array([x - .02, 2.72, 1.95]), np.array([0, -1.40, 0.]), np.array([0, 0, -1.00])),
                 "rug": Texture(rug_image(), rug_at + 1.35 * across + .90 * turn, -1.35 * across, -.90 * turn)}
     surfaces = {g: Surface("textured", texture=t) for g, t in textures.items()}
@@ -783,14 +783,14 @@ def poster() -> Recipe:
     p += box("bench-leg-1", "bench", (4.2, 1.35, 0), (4.5, 1.41, .38))
     p += box("bench-leg-2", "bench", (4.2, 2.39, 0), (4.5, 2.45, .38))
     p += box("crate", "crate", (4.18, 1.42, .44), (4.46, 1.78, .68), turn=.25)
-    p += prism("stool", "stool", regular((3.52, .78), .2, 8, .2), 0, .46)
+    p += prism("stool", "stool", regular((3.62, .70), .2, 8, .2), 0, .46)
     p += box("cupboard", "cupboard", (3.3, 3.35, 0), (4.3, 3.8, 1.5))
-    p += prism("ball", "ball", regular((3.55, 2.95), .14, 6, .5), 0, .22)
+    p += prism("ball", "ball", regular((3.45, 3.0), .14, 6, .5), 0, .22)
     p += [lamp("lamp", "lamp", (2.55, 1.75), 1.1, .7, z - .05)]
     tint = (1.0, .97, .91)
     E = exposed(p, materials, {"lamp": tint}, .24)
     return Recipe("poster", tuple(p), materials, {"lamp": scaled(E, tint)}, 2.1, pinhole(640, 480, 405, (3.2, -2.7)), (640, 480),
-                  look((1.35, 1.55, 1.6), (4.6, 2.16, 1.12)), surfaces=surfaces, about="A room with a printed poster and a woven rug; the lamp's emittance is known")
+                  look((1.30, 1.55, 1.62), (4.6, 2.12, .98)), surfaces=surfaces, about="A room with a printed poster and a woven rug; the lamp's emittance is known")
 
 
 def two_mirrors() -> Recipe:

@@ -287,7 +287,7 @@ def mirrored_lamps(mi, order=2):
 def write_ply(path, polygons, texture=None):
     """Convex polygons as fans; corners are not shared between polygons, so that normals stay flat.
 
-    With a texture, (s, t) of every corner: s = 0 .. 1 along its u, t = 1 .. 0 along its v (Mitsuba's t grows upwards)."""
+    With a texture, (s, t) of every corner: 0 to 1 along its columns and its rows, as Mitsuba's bitmaps have it."""
     import numpy as np
     vertices, faces = [], []
     for polygon in polygons:
@@ -297,7 +297,7 @@ def write_ply(path, polygons, texture=None):
     st = []
     if texture:
         frame = np.linalg.pinv(np.column_stack([texture.u, texture.v]))
-        vertices = [np.r_[p, np.array([0, 1]) + np.array([1, -1]) * (frame @ (p - texture.origin))] for p in vertices]
+        vertices = [np.r_[p, frame @ (p - texture.origin)] for p in vertices]
         st = ["property float s", "property float t"]
     lines = ["ply", "format ascii 1.0", f"element vertex {len(vertices)}", "property float x", "property float y", "property float z", *st,
              f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
