@@ -218,11 +218,12 @@ def _system(plan):
 
 
 def explain(plan):
-    """The chain, and a reason for every stage that is left out.
+    """The chain, and a reason for every stage that is left out; and for what stages leave out as long as no error asks for it.
 
     furnace: index -> formfactors -> fit -> render
       without segment: no goal needs it
       without recognise: its output is given
+      without mirror buffers, lobes and textures: fit and render make them only where ...
     """
     lines = [f"{plan.scene.name}: {' -> '.join(plan.planned) or 'nothing to run'}"]
     copied = [goal for goal in plan.goals if plan.scene.given(goal)]
@@ -235,6 +236,10 @@ def explain(plan):
             lines.append(f"  without {name}: its output is given ({', '.join(kept)})")
         else:
             lines.append(f"  without {name}: no goal needs it")
+    if climbs := [name for name in plan.planned if "surfaces" in plan.stages[name].facts.values()]:
+        makers = " and ".join([*climbs, *(name for name in ("render",) if name in plan.planned)])
+        lines.append(f"  without mirror buffers, lobes and textures: {makers} make{'' if ' and ' in makers else 's'} them only where a group's error,"
+                     " or `surfaces`, demands it; never for groups named diffuse")
     return "\n".join(lines)
 
 

@@ -105,6 +105,19 @@ def test_what_no_goal_needs_is_left_out(toy):
   without later: no goal needs it"""
 
 
+def test_what_waits_for_an_error_is_said_where_reflectances_are_fitted(toy):
+    """One line, for the stages of the plan that would make it; none where nothing is fitted."""
+    (toy.folder / "pipeline.yaml").write_text(PIPELINE.replace("facts: {lamps: lamps}", "facts: {lamps: lamps, surfaces: surfaces}").replace("later", "render"))
+    (toy.folder / "stages/render.py").touch()
+    line = ("  without mirror buffers, lobes and textures: {} them only where a group's error, or `surfaces`, demands it; never for groups named diffuse")
+    assert planning.explain(toy.plan()).splitlines()[-1] == line.format("fit makes")
+    toy.scene("goals: [render.txt]\nlamps: {lamp: [1, 1, 1]}")
+    assert planning.explain(toy.plan()).splitlines()[-1] == line.format("fit and render make")
+    assert "mirror" not in planning.explain(toy.plan("see"))
+    toy.give(**{"materials.json": "found"})
+    assert "mirror" not in planning.explain(toy.plan())
+
+
 def test_what_is_given_is_not_made(toy):
     toy.give(**{"camera.txt": "known"})
     assert planning.explain(toy.plan()) == """room: fit -> compare
