@@ -40,6 +40,7 @@ class Parts:
     comparison: dict = None
     reports: dict = field(default_factory=dict)
     plan: list = field(default_factory=list)
+    textures: dict = None                            # {group: {facet: ladder_page.thumbnail}}
     vision: object = None                            # vision_page.Vision
 
 
@@ -356,6 +357,8 @@ def verdict(parts):
     known, every = _identified(parts)
     if every:
         said.append(f"{known} of {every} group{'s' * (every != 1)} identified")
+    if other := _ladder().counts(materials):
+        said.append(f"not diffuse: {other}")
     transfer = materials.get("transfer") or {}
     if transfer.get("kind") == "gamma" and _finite(transfer.get("gamma")):
         gamma = pm(transfer["gamma"], transfer.get("sigma"), 3)
@@ -445,7 +448,7 @@ def _difference(parts, width):
 def _status_words(group):
     if group.get("identified"):
         sigma = (group.get("sigma") or {}).get("rho_d")
-        return ("plain", "given as a reference") if sigma and not any(sigma) else ("good", "identified")
+        return ("plain", "given as a reference") if sigma and not any(sigma) and "mirror" not in str(group.get("kind")) else ("good", "identified")
     pixels = group.get("pixels") or 0
     why = "never seen" if not pixels else f"none of its {number(pixels)} pixels can be trusted"
     return ("warn", f"{why}; assumed from the other groups") if group.get("assumed") else ("warn", f"{why}; no value")
@@ -478,7 +481,8 @@ def _materials(parts):
         own = g.get("rho_d") is not None
         sigma = (g.get("sigma") or {}).get("rho_d") if own else None
         against = (truths.get(name) or {}).get("rho_d") or {}
-        swatch = f'<i class="swatch" style="background:{css(_bytes8(T(np.array(value, float))))}"></i>' if value else '<i class="swatch none"></i>'
+        shine = _ladder().sheen(g)
+        swatch = (f'<i class="swatch" style="background:{shine + ", " if shine else ""}{css(_bytes8(T(np.array(value, float))))}"></i>' if value else '<i class="swatch none"></i>')
         cells = ""
         for c in channels:
             inner = f'<b>{fixed(value[c], 4)}</b>' if value else "–"
@@ -508,7 +512,9 @@ def _materials(parts):
             f'<th scope=col class="num">Display error</th></tr>')
     known, every = _identified(parts)
     has_truth = any((t.get("rho_d") or {}).get("truth") for t in truths.values())
-    lead = "Share of the light that each material reflects, per channel, with its standard deviation. The swatch is the material in full light, as this camera shows it."
+    shiny = bool(_ladder().counts(materials))
+    lead = (f"Share of the light that each material reflects{' diffusely' * shiny}, per channel, with its standard deviation. The swatch is the material in full light, as this camera shows it."
+            + " Mirrors, gloss and textures: the next section." * shiny)
     if has_truth and known:
         lead += " Below each value the truth and the deviation from it; " + (
             f'<span class="off">{off} channel{"s" * (off != 1)}</span> lie{"s" * (off == 1)} beyond 3 σ.' if off else '<span class="ok">every channel lies within 3 σ.</span>')
@@ -875,11 +881,17 @@ def _vision():
     return vision_page
 
 
+def _ladder():
+    from lib import ladder_page                      # likewise
+    return ladder_page
+
+
 def _build(parts, width):
     kind, badge, sentence = verdict(parts)
     about = "geometry from two photographs" if parts.vision and not parts.materials else "materials and light from one photograph" if not parts.vision else "geometry, materials and light from two photographs"
     seeing = _vision().sections(parts.vision, width) if parts.vision else ""
-    body = "".join([_hero(parts, width), _difference(parts, width), _materials(parts), _light(parts), _models(parts), seeing, _buffers(parts, width), _convergence(parts),
+    ladder = _ladder().section(parts)
+    body = "".join([_hero(parts, width), _difference(parts, width), _materials(parts), ladder, _light(parts), _models(parts), seeing, _buffers(parts, width), _convergence(parts),
                     _times(parts), _warnings(parts), _made(parts)])
     return f"""<!doctype html>
 <html lang="en">
@@ -888,7 +900,7 @@ def _build(parts, width):
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <title>{esc(parts.scene)}: {about}</title>
-<style>{STYLE}{_vision().STYLE if seeing else ''}</style>
+<style>{STYLE}{_vision().STYLE if seeing else ''}{_ladder().STYLE if ladder else ''}</style>
 </head>
 <body>
 <header><p class="eyebrow">{about[0].upper() + about[1:]}</p><h1>{esc(parts.scene)} <span class="badge {kind}">{esc(badge)}</span></h1><p class="verdict">{esc(sentence)}</p></header>

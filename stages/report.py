@@ -6,7 +6,8 @@
 
 reads   photograph, rendered, group, object, facet, hidden, trusted, depth, legend, materials, scores, comparison, reports;
         of a pair: photograph, regions, camera (of the pair's frame) and those of the right side; matches, facets, pose, calibration,
-        orientation, model; each may be missing, and so is its section then.  Also plan.mk beside the page: what was left out, and why
+        orientation, model; each may be missing, and so is its section then.  Also the textures that materials.json names, and plan.mk
+        beside the page: what was left out, and why
 writes  page          HTML with everything in it, below 6 MB
 """
 import argparse
@@ -57,6 +58,19 @@ def see(opt, read, shown):
                            model=read("model", model.load) if opt.pose else None, **files)
 
 
+def albums(opt, report, materials):
+    """{group: {facet: thumbnail}} of the textures that materials.json names."""
+    from lib import comparing, ladder_page
+
+    files = comparing.texture_files(opt.materials, materials) if materials else {}
+    if not files:
+        return None
+    with report.excluded("imports"):
+        from lib import textures
+    report.inputs += [str(path) for some in files.values() for path in some.values()]
+    return {group: {facet: ladder_page.thumbnail(textures.read(path)) for facet, path in some.items()} for group, some in files.items()}
+
+
 def main(opt):
     from lib.report import Report
 
@@ -76,11 +90,12 @@ def main(opt):
         values = None if photograph is None else shown(photograph)
         rendered = read("rendered", image.read_photograph)
         trusted, hidden = (read(name, image.read_labels) for name in ("trusted", "hidden"))
+        materials = read("materials", comparing.read_materials)
         text = page.build(page.Parts(
             scene=opt.scene, photograph=values, linear=bool(photograph and photograph.linear), rendered=rendered and rendered.values,
             **{name: read(name, image.read_labels) for name in ("group", "object", "facet")}, depth=read("depth", image.read_exr),
             trusted=None if trusted is None else trusted > 0, hidden=None if hidden is None else hidden > 0,
-            legend=read("legend", comparing.read_legend), materials=read("materials", comparing.read_materials),
+            legend=read("legend", comparing.read_legend), materials=materials, textures=albums(opt, report, materials),
             scores=read("scores", artefact.read_json), comparison=read("comparison", artefact.read_json),
             reports=comparing.read_reports(opt.reports), plan=left_out(Path(opt.page).parent / "plan.mk"), vision=see(opt, read, shown)))
         report["bytes"] = len(text.encode())

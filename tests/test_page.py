@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from lib import image, page
+from lib import image, ladder_page, page, textures
 from lib.page import Parts
 
 NASTY = '<script>alert("x")</script>&\'"'
@@ -81,7 +81,8 @@ def everything(height=48, width=64, channels=3):
         "fit": {"status": "converged", "cpu_s": 0.9, "wall_s": 0.5, "peak_mb": 300, "imports_s": 0.5, "compile_s": 1.0, "warnings": [],
                 "errors": [{"name": "image.rmse", "value": 0.003, "unit": "display", "against": "photograph"}, {"name": "empty", "value": None, "unit": None, "against": None}],
                 "trace": [{"cpu_s": t, "wall_s": t, "iteration": i, "image_rmse": 0.2 / (i + 1) ** 3, "gamma": 2 + 0.1 / (i + 1), "places": i} for i, t in enumerate((0.0, 0.1, 0.5, 0.9))],
-                "arguments": {"lamps": {"lamp": [4, 4, 4]}, "materials": "m.json", "report": None}, "versions": {"numpy": "2.0"}, "inputs": {"gather.npz": "0" * 64}},
+                "arguments": {"lamps": {"lamp": [4, 4, 4]}, "materials": "m.json", "report": None}, "versions": {"numpy": "2.0"}, "inputs": {"gather.npz": "0" * 64},
+                "ladder": {"threshold": 0.0125, "diffuse": {"wall": 0.004, "card": 0.01}, "rays": {}, "rounds": 0}},
         "render": {"status": "complete", "cpu_s": 3, "wall_s": 2, "peak_mb": 100, "trace": [{"cpu_s": 1.0, "rmse": 0.1}],
                    "transfer_models": [{"kind": "gamma", "rmse": 0.004, "rmse_rescaled": 0.003, "note": "own"}, {"kind": "histogram", "rmse": 0.01, "note": ""}]}}
     truth = {"groups": {"wall": {"pixels": 900, "given": False, "identified": True, "counted": True, "rho_d": {
@@ -99,7 +100,41 @@ def everything(height=48, width=64, channels=3):
                  comparison=truth, reports=reports, plan=[("segment", "no goal needs it")])
 
 
-SECTIONS = ("Difference", "Materials", "Light and camera", "Transfer models compared", "What each pixel shows", "Convergence", "Time", "Warnings", "How it was made")
+def texture(facet=7, nu=4, nv=2):
+    """0.6 m wide and 0.2 m high, brighter to the right in R and upwards in G; its left half is not told by the photograph."""
+    u, v = (np.arange(n, dtype=float) / (n - 1) for n in (nu, nv))
+    albedo = np.stack([np.broadcast_to(u[:, None], (nu, nv)), np.broadcast_to(v, (nu, nv)), np.zeros((nu, nv))], axis=2).astype(np.float32)
+    ones = np.ones((nu, nv), np.float32)
+    return textures.Texture(facet, albedo, np.where(u[:, None] < 0.5, 0, ones).astype(np.float32), 0 * ones, ones, np.full(3, 0.4), np.array([[1, 1, 1], [1.6, 1, 1], [1, 1, 1.2]]), 0)
+
+
+def climbed():
+    """Everything, and a group on each kind of rung; the shelf lacked only the light of the mirror."""
+    parts = everything()
+    groups, fit = parts.materials["groups"], parts.reports["fit"]
+    def up(rung, sigma=None, **more):
+        tried = [{"rung": r, "excess": 0.1 / (i + 1), "diffuse": 0.14} for i, r in enumerate(ladder_page.RUNGS[1:ladder_page.RUNGS.index(rung) + 1])]
+        return copy.deepcopy(groups["wall"]) | {"kind": "glossy" if rung == "anisotropic" else rung, "sigma": {"rho_d": [0.001] * 3} | (sigma or {}),
+                                                "ladder": {"rung": rung, "why": "off by 0.1387 beyond noise as diffuse; rho_s = 0.9, 0.8, 0.5 is not 1", "tried": tried}} | more
+    groups |= {"glass": up("mirror", {"rho_d": [0, 0, 0], "rho_s": [0, 0, 0]}, rho_d=[0.0] * 3, rho_s=[1.0, 1.0, 1.0]),
+               "brass": up("coloured_mirror", {"rho_d": [0, 0, 0], "rho_s": [0.002, 0.003, 0.004]}, rho_d=[0.0] * 3, rho_s=[0.9, 0.8, 0.5]),
+               "tin": up("glossy", {"rho_s": [0.002] * 3, "alpha": [0.001] * 2}, rho_s=[0.3] * 3, alpha=[0.05, 0.05]),
+               "steel": up("anisotropic", {"rho_s": [0.002] * 3, "alpha": [0.01, 0.004], "tangent_rad": 0.02}, rho_s=[0.4] * 3, alpha=[0.28, 0.07], tangent=[0.8, 0.6, 0.0]),
+               "print": up("textured", texture={"7": "texture-7.exr"}), "shelf": copy.deepcopy(groups["wall"]), "books": copy.deepcopy(groups["wall"]) | {"pixels": 0}}
+    before = {name: 0.14 for name in ("glass", "brass", "tin", "steel", "print")} | {"wall": 0.004, "card": 0.01, "shelf": 0.02}
+    fit["ladder"] |= {"diffuse": before, "end": before | {name: 0.003 for name in ("glass", "brass", "tin", "steel", "print", "shelf")}, "rounds": 4,
+                      "rays": {"camera rays to mirrors": 40782, "rays in lobes": 3210600, "mirrored lamps": 1},
+                      "rungs": {name: groups[name]["ladder"]["rung"] for name in ("glass", "brass", "tin", "steel", "print")}}
+    parts.textures = {"print": {7: ladder_page.thumbnail(texture())}}
+    deviation = lambda truth, *z: {"truth": truth, "value": truth, "absolute": [0.01] * len(truth), "relative": [0.1] * len(truth), "in_sigmas": list(z)}
+    parts.comparison["groups"] |= {"brass": {"kind": ["coloured_mirror", "mirror"], "rho_s": deviation([0.91, 0.8, 0.5], 5.0, 0.1, 0.1)},
+                                   "steel": {"kind": ["glossy", "glossy"], "rho_s": deviation([0.4] * 3, 0.2, 0.2, 0.2), "alpha": deviation([0.28, 0.07], 1.0, None),
+                                             "tangent": {"truth": [0.8, 0.6, 0.0], "value": [0.8, 0.6, 0.0], "degrees": [1.25], "sigma": 1.1, "in_sigmas": [1.1]}}}
+    parts.comparison["textures"] = {"print": {"rmse": 0.021, "pixels": 1253}}
+    return parts
+
+
+SECTIONS = ("Difference", "Materials", "How each surface reflects", "Light and camera", "Transfer models compared", "What each pixel shows", "Convergence", "Time", "Warnings", "How it was made")
 
 
 def test_everything():
@@ -139,10 +174,11 @@ def _walk(value, change):
     return change(value)
 
 
+@pytest.mark.parametrize("make", [everything, climbed])
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 0.0, -1.0, 1e300, 1e-300])
-def test_numbers_of_any_kind(bad):
+def test_numbers_of_any_kind(bad, make):
     """No file of ours holds such a number; yet a page with NaN on it would be the last to say so."""
-    parts = everything()
+    parts = make()
     for name in ("materials", "scores", "comparison", "reports"):
         setattr(parts, name, _walk(getattr(parts, name), lambda v: bad if isinstance(v, float) else v))
     sane(page.build(parts))
@@ -152,18 +188,103 @@ def test_numbers_of_any_kind(bad):
         sane(page.build(parts))
 
 
-def test_text_is_escaped():
-    parts = everything()
+@pytest.mark.parametrize("make", [everything, climbed])
+def test_text_is_escaped(make):
+    parts = make()
     for name in ("materials", "scores", "comparison", "reports", "legend"):
         value = _walk(getattr(parts, name), lambda v: NASTY if isinstance(v, str) and v not in ("gamma", "converged", "lamps") else v)
         if name in ("materials", "scores", "comparison"):
             value["groups"] = {NASTY + k: v for k, v in value["groups"].items()}
+            parts.textures = {NASTY + k: v for k, v in (parts.textures or {}).items()}
         if name == "reports":
             value = {k + NASTY if k != "fit" else k: v for k, v in value.items()}
+            for key, names in value["fit"]["ladder"].items():
+                if isinstance(names, dict):
+                    value["fit"]["ladder"][key] = {NASTY + k: v for k, v in names.items()}
         setattr(parts, name, value)
     parts.scene, parts.plan = NASTY, [(NASTY, NASTY)]
     seen = sane(page.build(parts))
     assert NASTY in seen
+
+
+# ---- the ladder ----
+
+def ladder_of(parts):
+    """The section alone: its HTML and its visible text, on one line."""
+    found = re.search(r'<section id="ladder">.*?</section>', page.build(parts), re.DOTALL)
+    return (found[0], " ".join(sane(f"<style></style><script></script>{found[0]}").split())) if found else ("", "")
+
+
+def test_where_nothing_climbs_it_cost_nothing():
+    text, seen = ladder_of(everything())
+    assert "The threshold is 1.25 % of full scale beyond noise. Every group is diffuse within the threshold; no mirror buffer, no lobe and no texture was computed (0 rays)." in seen
+    assert "card 1.00 %" in seen and "wall 0.40 %" in seen and 'width:80%' in text and "<article>" not in text and "What that cost" not in seen
+    assert "not diffuse" not in page.verdict(everything())[2]
+
+
+def test_every_rung_is_shown_with_what_it_found():
+    text, seen = ladder_of(climbed())
+    for words in ("5 of 11 groups climbed. Once that is in the balance, shelf is diffuse within the threshold.", "glass perfect mirror", "brass coloured mirror in truth mirror", "tin glossy",
+                  "steel glossy, anisotropic", "print textured", "14.0 % → 0.30 %", "1 all light, as the word says", "R 0.9000 ± 0.0020 truth 0.9100 5.0 σ", "0.3000 ± 0.0020",
+                  "x 0.2800 ± 0.0100 truth 0.2800 1.0 σ", "y 0.0700 ± 0.0040 truth 0.0700 +0.0100", "(0.80, 0.60, 0.00) ± 1.15° truth (0.80, 0.60, 0.00) 1.2° off",
+                  "Off by 13.9 % beyond noise as diffuse; ρₛ = 0.9, 0.8, 0.5 is not 1.", "facet 7, 0.6 × 0.2 m, 50 % of it told by the photograph",
+                  "The albedo is off the truth by 2.1 % rms, over the 1,253 pixels that show it.", "shelf 2.0 % → 0.30 %", "Seen only by way of a mirror, and taken for diffuse: books.",
+                  "rays in lobes 3,210,600", "camera rays to mirrors 40,782", "mirrored lamps 1"):
+        assert words in seen, (words, seen)
+    assert text.count("<article>") == 5 and text.count('class="reached"') == 5 and 'class="off">5.0 σ' in text
+    assert "not diffuse: 1 mirror, 1 coloured mirror, 2 glossy, 1 textured;" in page.verdict(climbed())[2]
+
+
+@pytest.mark.parametrize("told, words", [
+    ({"surfaces": {"wall": "diffuse"}}, "No group climbed; no mirror buffer, no lobe and no texture was computed (0 rays)."), ({"reference": {"wall": [0.7, 0.6, 0.5]}}, "given as a reference")])
+def test_what_scene_yaml_says_is_not_called_a_finding(told, words):
+    parts = everything()
+    parts.reports["fit"]["arguments"] |= told
+    parts.reports["fit"]["ladder"]["diffuse"]["wall"] = 0.05
+    text, seen = ladder_of(parts)
+    assert words in seen and 'class="over"' in text and "Every group is diffuse" not in seen
+    assert ("named diffuse in scene.yaml" in seen) is ("surfaces" in told)
+
+
+def test_what_no_rung_explains_is_said_with_its_price():
+    parts = everything()
+    parts.reports["fit"]["ladder"] |= {"diffuse": {"wall": 0.015, "card": 0.001}, "end": {"wall": 0.015, "card": 0.001}, "rays": {"rays in lobes": 77}, "rungs": {}}
+    text, seen = ladder_of(parts)
+    assert "No group climbed: no mirror, lobe or texture explains what wall lacks." in seen and "rays in lobes 77" in seen and "0 rays" not in seen
+
+
+def test_a_mirror_without_the_report_of_the_fit():
+    """materials.json may be given: what it says is shown, what nobody measured is not."""
+    parts = climbed()
+    parts.reports = {}
+    text, seen = ladder_of(parts)
+    assert "5 of 11 groups climbed." in seen and "threshold" not in seen and "0 rays" not in seen and "What that cost" not in seen
+    parts = everything()
+    del parts.reports["fit"]["ladder"]                        # method: paper
+    assert ladder_of(parts) == ("", "")
+
+
+def test_a_mirror_is_not_taken_for_a_reference():
+    """Both have a rho_d of which nothing is uncertain."""
+    seen = sane(page.build(climbed()))
+    assert "coloured mirror, identified" in seen and seen.count("given as a reference") == 1
+
+
+def test_a_thumbnail_stands_as_the_facet_is_seen_from_its_front():
+    thumb = ladder_page.thumbnail(texture(nu=120, nv=40), largest=60)
+    picture = thumb["picture"].astype(int)
+    assert picture.shape == (20, 60, 3) and thumb["size_m"] == pytest.approx([0.6, 0.2]) and thumb["known"] == pytest.approx(0.5)
+    assert (np.diff(picture[..., 0], axis=1) >= 0).all() and picture[0, -1, 0] > 250 and picture[0, 0, 0] < 30             # axis 0 to the right
+    assert (np.diff(picture[..., 1], axis=0) <= 0).all() and picture[0, 0, 1] > 240 and picture[-1, 0, 1] < 50             # axis 1 upwards
+    one = textures.Texture(0, np.full((1, 1, 1), 0.5, np.float32), *(np.ones((1, 1), np.float32),) * 3, np.full(1, 0.5), np.zeros((3, 3)), 0)
+    assert ladder_page.thumbnail(one)["picture"].shape[2] == 3                                                             # one channel, and no size
+
+
+def test_large_albums_show_the_largest():
+    parts = climbed()
+    parts.textures = {"print": {f: ladder_page.thumbnail(texture(f)) | {"size_m": [f, 1.0]} for f in range(1, 10)}}
+    text, seen = ladder_of(parts)
+    assert text.count("<figure>") == 6 and "facet 9, 9 × 1 m" in seen and "facet 3," not in seen and "3 smaller ones are not shown." in seen
 
 
 def test_one_channel():
@@ -260,6 +381,24 @@ def test_from_outside(run, outputs):
     seen = sane(text)
     assert all(f"<h2>{title}</h2>" in text for title in SECTIONS)
     assert "no goal needs it" in seen and "without x" not in seen
+
+
+def test_textures_are_read_from_beside_the_materials(run, outputs):
+    parts = climbed()
+    textures.write(outputs, texture())
+    (outputs / "materials.json").write_text(json.dumps(parts.materials))
+    (outputs / "fit.report.json").write_text(json.dumps(parts.reports["fit"]))
+    result = run(*command(outputs, materials=outputs / "materials.json", reports=[outputs / "fit.report.json"]))
+    assert result.returncode == 0, result.stderr
+    text = (outputs / "report.html").read_text(encoding="utf-8")
+    assert "facet 7, 0.6 × 0.2 m" in sane(text) and 'class="albums"' in text
+    assert str(outputs / "texture-7.exr") in json.loads((outputs / "report.report.json").read_text())["inputs"]
+
+
+def test_a_texture_that_is_not_there_is_one_line(refuses, outputs):
+    (outputs / "materials.json").write_text(json.dumps(climbed().materials))
+    assert refuses(*command(outputs, materials=outputs / "materials.json")) == [f"report.py: {outputs}/texture-7.json: there is no such file"]
+    assert not (outputs / "report.html").exists()
 
 
 def test_a_linear_photograph_is_shown_in_display_values(run, outputs):
