@@ -417,7 +417,12 @@ def render(mi, recipe, folder, opt):
     import numpy as np
     import cv2
     full = mitsuba_scene(mi, recipe, folder, opt.roulette)
-    trace = lambda scene, seed: np.array(mi.render(scene, integrator=tracer(mi, recipe, scene, opt.roulette), spp=opt.spp, seed=seed), dtype=float)[..., :3] * np.pi
+
+    def traces(scene):
+        integrator = tracer(mi, recipe, scene, opt.roulette)
+        return lambda seed: np.array(mi.render(scene, integrator=integrator, spp=opt.spp, seed=seed), dtype=float)[..., :3] * np.pi
+
+    trace = traces(full)
     labels = group_picture(mi, full, recipe)
     # A pixel at a lamp's edge is lamp in part, a hundred times brighter: it would be most of the noise of the ceiling's mean.
     lamps = np.isin(labels, [recipe.groups.index(g) + 1 for g in recipe.lamps])
@@ -425,7 +430,7 @@ def render(mi, recipe, folder, opt):
     passes = Passes((recipe.size[1], recipe.size[0], 3), pure, len(recipe.groups))
     seed = opt.seed
     for _ in range(opt.passes):
-        passes.add(trace(full, seed))
+        passes.add(trace(seed))
         seed += 1
     for k, group in enumerate(recipe.groups):
         size = (labels == k + 1).sum()
@@ -434,13 +439,13 @@ def render(mi, recipe, folder, opt):
         window = x0, y0, x1, y1 = window_of(pure, k)
         if (x1 - x0) * (y1 - y0) > 0.2 * labels.size:
             continue
-        scene, left = None, opt.more
+        trace, left = None, opt.more
         while left > 0 and (noise := passes.group_noise(k).max()) > opt.target:
-            scene = scene or mitsuba_scene(mi, recipe, folder, opt.roulette, window)
+            trace = trace or traces(mitsuba_scene(mi, recipe, folder, opt.roulette, window))
             # so many passes are still needed, at the noise seen so far; a few at a time
             need = len(passes.group_means[k]) * ((noise / opt.target) ** 2 - 1)
             for _ in range(int(min(left, max(1, np.ceil(need * 0.5))))):
-                passes.add(trace(scene, seed), window)
+                passes.add(trace(seed), window)
                 seed += 1
                 left -= 1
     return passes, labels, seed - opt.seed
