@@ -657,8 +657,8 @@ def beyond(surface: Surface, shown: Texture, start, element, m, *, seed=11):
         for c in range(C):
             total[:, c] += np.bincount(element[met.source], light[:, c], m)
 
-    def at_lobe(p, facet, sign, met, group, axes):
-        add(met, specular.lobe_light(surface, ways.finish, ways.lamps, p, facet, sign, met, group, axes, seed=seed) @ ways.E[[lamp.lamp for lamp in ways.lamps]])
+    def at_lobe(p, facet, sign, met, group, axes, step):
+        add(met, specular.lobe_light(surface, ways.finish, ways.lamps, p, facet, sign, met, group, axes, step, seed=seed) @ ways.E[[lamp.lamp for lamp in ways.lamps]])
 
     for met in specular.follow(surface, ways.finish, ways.chains, start, seed=seed, at_lobe=at_lobe):
         light = reflected_at(surface, shown, met.rays, met.triangle, met.t) * met.weight[:, None]
@@ -670,8 +670,15 @@ def beyond(surface: Surface, shown: Texture, start, element, m, *, seed=11):
 
 
 def reflected_at(surface: Surface, shown: Texture, rays, triangle, t):
-    """What the ends of rays reflect diffusely towards them, (n, C); nothing inside solids."""
-    return _reflected_at(rays, triangle, t, surface.facet, surface.normal, surface.origin, surface.axes, surface.size, surface.inside, shown.start, shown.shape, shown.value)
+    """What the ends of rays reflect diffusely towards them, (n, C); nothing inside solids. Ends within three texels are lit by themselves."""
+    look = lambda which, value: _reflected_at(rays[which], triangle[which], t[which], surface.facet, surface.normal, surface.origin, surface.axes, surface.size,
+                                              surface.inside, shown.start, shown.shape, value)
+    light = look(slice(None), shown.value)
+    if shown.ways is not None:
+        near, close = _close(surface, shown, shown.ways.every, shown.ways.E_every, rays, triangle, t)
+        near = np.flatnonzero(near >= 0)
+        light[near] += np.where(light[near].any(axis=1, keepdims=True), close - look(near, shown.direct), 0)
+    return light
 
 
 @njit(cache=True, parallel=True)

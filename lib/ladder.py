@@ -27,6 +27,7 @@ THRESHOLD = 0.006            # display RMSE beyond noise that a rung may leave: 
 ENOUGH = 12                  # tiles of a group without which it is not judged
 ALPHAS = (0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.32, 0.5)
 LOWEST, HIGHEST = 0.004, 1.0     # alphas that are looked for
+SHARP = 0.2                  # alphas below which a lobe resolves the light within patches
 TURNS = 6                    # directions that the search for an anisotropic lobe begins with
 
 
@@ -100,7 +101,7 @@ class Site:
     facet: np.ndarray            # (H, W) int, -1 = nothing
     base: Problem                # everything diffuse
     base_tiles: Receivers        # trusted ones and those for the audit
-    progress: object = None
+    detail: object = None        # of light within patches, see lib.specular.rows; what sharp lobes show
     spent: dict = field(default_factory=dict)        # rays by what they were for
 
     @property
@@ -189,15 +190,20 @@ def receivers(site, pixel, facet, side, p, direction, chain, lobe, *, rays, larg
 
 # -- the problem at given finishes
 
-def _tiles_of(site, finish, chains, *, rays=512):
+def _tiles_of(site, finish, chains, textured, *, rays=512):
     """All tiles where the groups of `finish` are specular: those of other groups stay, theirs are made anew."""
     from lib import specular
     surface = site.surface
+    base = site.base_tiles
+    swap = np.isin(base.group, textured)                           # of a texture not its flattest pixels count but all
+    base = replace(base, fit=base.fit ^ swap)
+    if finish is None:
+        return base
     mirrors = [g for g, k in zip(finish.groups, finish.kind) if k == specular.MIRROR]
     glossy = [g for g, k in zip(finish.groups, finish.kind) if k == specular.GLOSSY]
     number = np.full(len(surface.groups), -1, np.int32)
     number[list(finish.groups)] = np.arange(len(finish))
-    parts = [site.base_tiles.take(np.flatnonzero(~np.isin(site.base_tiles.group, finish.groups)))]
+    parts = [base.take(np.flatnonzero(~np.isin(base.group, finish.groups)))]
     lamp = np.isin(surface.group, [surface.groups.index(name) for name in site.factors.lamps])
     if mirrors:
         pixel, view, pure = shown(site, finish, chains, mirrors)
@@ -228,7 +234,7 @@ def lobes(site, finish, chains, tiles, *, rays=192):
     n = np.maximum(rays, some.n_pixels * 4)
     ray_start = np.concatenate([[0], np.cumsum(n)]).astype(np.int64)
     begin = specular.from_views(site.surface, ray_start, some.start, some.p, np.repeat(some.facet, some.n_pixels), some.direction, np.repeat(some.chain, some.n_pixels))
-    rows = specular.rows(site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, ray_start, begin, seed=7)
+    rows = specular.rows(site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, ray_start, begin, seed=7, detail=site.detail)
     site.note("rays in lobes", rows.rays)
     from scipy.sparse import csr_array
     spread = csr_array((np.ones(len(which), np.float32), (which, np.arange(len(which)))), shape=(len(tiles), len(which)))
@@ -284,6 +290,20 @@ def bends(site, finish, chains, tiles, shapes, *, step=0.03):
     return result
 
 
+def detailed(site, finish, state):
+    """What the light at the ends of rays is of that of their patches, as textures of the scene show it (lib.illumination)."""
+    import contextlib
+    from lib import illumination, rendering
+    lamp_groups = np.array([site.surface.groups.index(name) for name in site.factors.lamps], int)
+    lit = rendering.lighting(site.surface, site.factors, finish, state.rho_s, state.rho, state.E, lamp_groups, lambda label: contextlib.nullcontext())
+    mean = np.asarray(lit.light.reflected).mean(axis=1)
+
+    def detail(rays, triangle, t, patch):
+        there = illumination.reflected_at(site.surface, lit.shown, rays, triangle, t).mean(axis=1)
+        return np.clip(np.divide(there, mean[patch], out=np.ones(len(patch)), where=mean[patch] > 1e-9), 0, 10)
+    return detail
+
+
 def main_normal(surface, group):
     """Of the group's largest facet: about it the tangent turns."""
     f = np.flatnonzero(surface.group == group)
@@ -291,14 +311,19 @@ def main_normal(surface, group):
 
 
 def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=None) -> Problem:
-    """The inverse problem of the tiles that take part in the fit. rho_s : (M, C), NaN where free"""
+    """The inverse problem of the tiles that take part in the fit; finish None: nothing is specular.
+
+    rho_s : (M, C), NaN where free;  variance : (G,) display, of what a group's tiles are known to differ by
+    """
     base, some = site.base, np.flatnonzero(tiles.fit)
     t = tiles.take(some)
-    F, D, G, D_tile = transport
-    rows = lobes(site, finish, chains, t)
+    spec = None
+    if finish is not None:
+        F, D, G, D_tile = transport
+        rows = lobes(site, finish, chains, t)
+        spec = Specular(finish.groups, chains, F, D, {k: A[some] for k, A in G.items()}, {k: A[some] for k, A in D_tile.items()}, t.chain, rows.F, rows.D,
+                        rho_s, bends(site, finish, chains, t, shapes))
     seen = lambda half=None: (t.rows.matrix(half) @ site.subcell).tocsr()
-    spec = Specular(finish.groups, chains, F, D, {k: A[some] for k, A in G.items()}, {k: A[some] for k, A in D_tile.items()}, t.chain, rows.F, rows.D,
-                    rho_s, bends(site, finish, chains, t, shapes))
     return replace(base, G=seen(), G_plain=t.rows.matrix(), D_tile=t.direct, tile_group=t.group, tile_object=t.object, start=t.start, pixels=t.values,
                    halves=(seen(0), seen(1), *base.halves[2:]) if base.halves else (), specular=spec, variance=None if variance is None else variance[t.group][:, None])
 
@@ -350,7 +375,7 @@ def audit(subcell, problem, result, tiles, transport=None) -> dict:
     for g in np.unique(tiles.group):
         if spec is not None and g in spec.groups:
             continue
-        mine = np.flatnonzero((tiles.group == g) & ~tiles.fit)
+        mine = np.flatnonzero((tiles.group == g) & ~tiles.fit & (tiles.chain == 0))
         if len(mine) >= ENOUGH:
             found[int(g)] = misfit(problem, gamma, B[mine], seen[mine], tiles.n_pixels[mine], spread[mine])
     if spec is not None:
@@ -444,7 +469,7 @@ def _plain(site, problem, state, g) -> Misfit:
 class Lobe:
     """A group's pixels, ready to be compared with lobes of any shape: `fit(alpha, tangent)` adjusts rho_d and rho_s alone."""
 
-    def __init__(self, site, problem, state, finish, chains, transport, rho_s, g, most=260):
+    def __init__(self, site, problem, state, finish, rho_s, g, most=260):
         from lib import specular
         self.site, self.problem, self.state, self.g = site, problem, state, g
         M = len(finish)
@@ -507,10 +532,10 @@ def _two(x, y, wanted, weight):
     return float(np.clip(xz / max(xx, 1e-300), 0, 1)), 0.0
 
 
-def as_glossy(site, problem, state, finish, chains, transport, rho_s, g):
+def as_glossy(site, problem, state, finish, rho_s, g, threshold):
     """Trials of group g as an isotropic and as an anisotropic lobe."""
     from scipy.optimize import minimize, minimize_scalar
-    lobe = Lobe(site, problem, state, finish, chains, transport, rho_s, g)
+    lobe = Lobe(site, problem, state, finish, rho_s, g)
     if lobe.tiles is None:
         return []
     cost = {}
@@ -529,7 +554,7 @@ def as_glossy(site, problem, state, finish, chains, transport, rho_s, g):
     a = float(np.exp(best.x)) if best.fun < values[k] else ALPHAS[k]
     fit, chi2, rho_d, s = at((a, a))
     trials = [Trial("glossy", g, fit, lobe.plain, rho_d, s, np.array([a, a]))]
-    if trials[0].explained < 0.2:                                  # what no round lobe explains in the least, no long one will
+    if fit.excess <= threshold or trials[0].explained < 0.2:       # what no round lobe explains in the least, no long one will
         return trials
     normal = main_normal(site.surface, g)
     x = site.surface.axes[np.flatnonzero(site.surface.group == g)[0], 0]
@@ -547,6 +572,38 @@ def as_glossy(site, problem, state, finish, chains, transport, rho_s, g):
         alpha, tangent = alpha[::-1], np.cross(normal, tangent)
     trials.append(Trial("anisotropic", g, fit, lobe.plain, rho_d, s, alpha, tangent))
     return trials
+
+
+# -- textures
+
+def albedo_maps(site, climb) -> dict:
+    """{group: {facet: lib.textures.Texture}} of the textured groups: the photograph over the light of each pixel."""
+    import contextlib
+    from lib import illumination, rendering, textures
+    groups = [g for g, p in climb.places.items() if p.rung == "textured"]
+    if not groups:
+        return {}
+    surface, state = site.surface, climb.result.state
+    lamp_groups = np.array([surface.groups.index(name) for name in site.factors.lamps], int)
+    lit = rendering.lighting(surface, site.factors, climb.finish, state.rho_s, state.rho, state.E, lamp_groups, lambda label: contextlib.nullcontext())
+    facet = np.where(np.isin(surface.group[np.maximum(site.facet, 0)], groups), site.facet, -1)
+    seen = illumination.pixels(surface, site.camera, facet)
+    factor, _ = illumination.direct(surface, lit.lamps, len(lit.E), seen, site.camera)
+    direct = factor @ lit.E
+    leaves = illumination.gather(surface, lit.shown, lit.lamps, lit.E, seen, direct)
+    C = site.base.channels
+    irradiance = np.zeros((*facet.shape, C))
+    irradiance[seen.y, seen.x] = direct + illumination.interpolated(leaves, seen)
+    metric = reflectance._metric(climb.problem, state.gamma)
+    linear = metric.transfer.linear(site.photograph.values)
+    level = np.median(linear[facet >= 0], axis=0) if (facet >= 0).any() else np.ones(C)
+    noise = float(np.mean(climb.problem.pixel_noise / metric.slope(level)))       # one for all: noise by pixel would weigh dark ones more
+    found = {}
+    for g in groups:
+        wanted = [int(f) for f in np.unique(facet[facet >= 0]) if surface.group[f] == g]
+        found[g] = textures.albedo_maps(surface, site.camera, facet, site.pure & (facet >= 0), linear, irradiance, noise, state.rho[g], wanted)
+    site.note("textured pixels", len(seen))
+    return found
 
 
 # -- the climb
@@ -608,11 +665,17 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
             settled.add(g)
     wanted = {g: kind for g, kind in given.items() if kind in ("mirror", "coloured_mirror", "glossy")}
     for here.rounds in range(1, max_rounds + 1):
-        flagged = [g for g, m in here.misfits.items() if g not in settled and m.excess > threshold or g in wanted]
-        trials = {g: _tried(site, here, g, wanted.get(g)) for g in flagged}
+        energy = lambda g: here.misfits[g].excess ** 2 * here.misfits[g].pixels if g in here.misfits else np.inf
+        flagged = sorted((g for g in {*here.misfits, *wanted} if g in wanted or g not in settled and here.misfits[g].excess > threshold), key=energy, reverse=True)
+        trials, explained = {}, 0.0
+        for g in flagged:
+            if energy(g) < 0.1 * explained and g not in wanted:        # its error may be the other one's light: it is asked again
+                continue
+            trials[g] = _tried(site, here, g, wanted.get(g), threshold)
+            explained = max([explained] + [energy(g) for t in trials[g] if t.explained > 0.9])
         taken = _taken(here, trials, threshold, wanted, settled)
         if not taken:
-            taken = _textured(here, flagged, threshold, settled)
+            taken = _textured(here, flagged, trials, threshold, settled)
         if not taken:
             break
         here = _refit(site, here, options)
@@ -622,8 +685,8 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
     return here
 
 
-def _tried(site, here, g, wanted):
-    """The rungs above the group's own, tried in the present light."""
+def _tried(site, here, g, wanted, threshold):
+    """The rungs above the group's own, tried one after the other in the present light, until one explains the group."""
     from lib import specular
     state, M = here.result.state, 0 if here.finish is None else len(here.finish)
     keep = [m for m in range(M) if here.finish.groups[m] != g]
@@ -632,12 +695,13 @@ def _tried(site, here, g, wanted):
     rho_s = state.rho_s[keep] if M else np.zeros((0, here.problem.channels))
     own = RUNGS.index(here.places[g].rung)
     trials = []
-    if wanted in (None, "mirror", "coloured_mirror"):
+    if wanted in (None, "mirror", "coloured_mirror") and own < RUNGS.index("coloured_mirror"):
         trials += as_mirror(site, here.problem, state, finish, rho_s, g)
-    if wanted in (None, "glossy"):
-        trials += as_glossy(site, here.problem, state, finish, specular.Chains(len(finish)), None, rho_s, g)
-    if wanted:
-        trials = [t for t in trials if t.rung == wanted or wanted == "glossy"]
+        if wanted:
+            return [t for t in trials if t.rung == wanted]
+        if any(t.misfit.excess <= threshold for t in trials):
+            return [t for t in trials if RUNGS.index(t.rung) > own]
+    trials += as_glossy(site, here.problem, state, finish, rho_s, g, threshold)
     return [t for t in trials if RUNGS.index(t.rung) > own]
 
 
@@ -669,11 +733,12 @@ def _taken(here, trials, threshold, wanted, settled):
     return taken
 
 
-def _textured(here, flagged, threshold, settled):
+def _textured(here, flagged, trials, threshold, settled):
     """What no rung explains is a texture, if it is clearly more than shadows' edges leave."""
     taken = [g for g in flagged if here.misfits[g].excess > 1.5 * threshold and here.places[g].rung == "diffuse"]
     for g in taken:
         here.places[g].rung = "textured"
+        here.places[g].tried = [{"rung": t.rung, "excess": t.misfit.excess, "diffuse": t.diffuse.excess} for t in trials.get(g, [])]
         here.places[g].why = f"off by {here.misfits[g].excess:.4f} beyond noise as diffuse, and no mirror or lobe explains half of that"
         settled.add(g)
     return taken
@@ -702,10 +767,11 @@ def _refit(site, here, options) -> Climb:
     variance = np.zeros(len(site.base.groups))
     variance[textured] = [here.misfits[g].excess ** 2 if g in here.misfits else 0.05 ** 2 for g in textured]
     if not len(finish):
-        problem = replace(site.base, variance=variance[site.base.tile_group][:, None])
+        tiles = _tiles_of(site, None, chains, textured)
+        problem = assemble(site, None, chains, tiles, None, None, variance=variance)
         result, scale = reflectance.fit(problem, start=(state.rho, state.E, state.gamma, None), **options)
-        return replace(here, problem=problem, result=result, scale=scale, misfits=audit(site.subcell, problem, result, site.base_tiles))
-    tiles = _tiles_of(site, finish, chains)
+        return replace(here, problem=problem, result=result, scale=scale, tiles=tiles, misfits=audit(site.subcell, problem, result, tiles))
+    tiles = _tiles_of(site, finish, chains, textured)
     transport = light(site, finish, chains, tiles)
     traced = np.array(finish.alpha)
     fixed = site.base.rho.copy()
@@ -723,7 +789,7 @@ def _refit(site, here, options) -> Climb:
     base, site.base = site.base, replace(site.base, rho=fixed)
     try:
         start = (rho, state.E, state.gamma, rho_s)
-        for turn in range(10):
+        for turn in range(12):
             shapes = _shapes(places, finish)
             problem = assemble(site, finish, chains, tiles, transport, free, shapes, variance)
             result = reflectance.gauss_newton(problem, start=start, finish=False, **{**options, "max_iterations": 12, "tolerance": 1e-3})
@@ -736,7 +802,9 @@ def _refit(site, here, options) -> Climb:
             if np.max(np.abs(np.log(np.maximum(finish.alpha, 1e-6) / np.maximum(traced, 1e-6))), initial=0) > 0.25:
                 transport, traced = light(site, finish, chains, tiles), np.array(finish.alpha)
             if np.max(np.abs(steps), initial=0) < 0.004:
-                break
+                if site.detail is not None or not (np.asarray(finish.alpha)[finish.kind == specular.GLOSSY] < SHARP).any():
+                    break
+                site.detail = detailed(site, finish, result.state)     # sharp lobes see more than patches
         problem = assemble(site, finish, chains, tiles, transport, free, _shapes(places, finish), variance)
         result, scale = reflectance.fit(problem, start=start, **options)
         # a mirror that is not quite perfect is coloured
@@ -757,7 +825,7 @@ def _refit(site, here, options) -> Climb:
                 problem = replace(problem, specular=replace(problem.specular, rho_s=free))
                 result, scale = reflectance.fit(problem, start=(tint.state.rho, tint.state.E, tint.state.gamma, np.where(np.isnan(free), tint.state.rho_s, 1.0)), **options)
     finally:
-        site.base = base
+        site.base, site.detail = base, None
     sigma_shape = {}
     for (m, name, *_), step in zip(problem.specular.bend, result.sigma_bend if result.sigma_bend is not None else []):
         sigma_shape.setdefault(finish.groups[m], {})[name] = float(step)

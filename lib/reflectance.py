@@ -83,6 +83,14 @@ class Specular:
     V: dict                      # chain -> (T, L)
     rho_s: np.ndarray            # (M, C); NaN where unknown
     bend: list = field(default_factory=list)      # of (m, name, W, V, low, high): bounds of the step in that shape
+    _mixtures: dict = field(default_factory=dict, repr=False)
+
+    def mixture(self, name, base):
+        """The sum over the chains of the part `name` and of base, ready for any rho_s."""
+        key = name, id(base)
+        if key not in self._mixtures:
+            self._mixtures[key] = _Mixture(base, getattr(self, name)), base      # base is kept, so that its id stays its own
+        return self._mixtures[key][0]
 
 
 @dataclass(frozen=True)
@@ -128,26 +136,56 @@ class Ways:
             return
         power = spec.chains.power(rho_s)
         power = power[:, :1] if (power == power[:, :1]).all() else power
-        mixed = lambda base, parts: [_sum(base, parts, power[:, c]) for c in range(power.shape[1])]
-        self.F, self.G = [dense(A) for A in mixed(F, spec.F)], mixed(G, spec.G)
-        self.D, self.D_tile = mixed(p.D, spec.D), mixed(p.D_tile, spec.D_tile)
-        self.W, self.V = (mixed(None, spec.W), mixed(None, spec.V)) if spec.W or spec.V else (None, None)
+        mixed = lambda name, base: [spec.mixture(name, base).at(power[:, c]) for c in range(power.shape[1])]
+        self.F, self.G = [dense(A) for A in mixed("F", F)], mixed("G", G)
+        self.D, self.D_tile = mixed("D", p.D), mixed("D_tile", p.D_tile)
+        self.W, self.V = (mixed("W", None), mixed("V", None)) if spec.W or spec.V else (None, None)
         self.seen = power[spec.tile_chain]
 
     def slopes(self, m, c):
         """Derivatives with respect to rho_s[m, c]: of F, D, G, D_tile, W, V, each a matrix or 0, and of `seen`, (T,)."""
         spec = self.spec
         slope = spec.chains.slope(self.rho_s, m)[:, c]
-        return [_sum(None, parts, slope) for parts in (spec.F, spec.D, spec.G, spec.D_tile, spec.W, spec.V)] + [slope[spec.tile_chain]]
+        return [spec.mixture(name, None).at(slope) for name in ("F", "D", "G", "D_tile", "W", "V")] + [slope[spec.tile_chain]]
 
 
-def _sum(base, parts, power):
-    """base + sum_k power_k parts_k; base None: nothing; 0 where there is nothing at all."""
-    total = base
-    for k, part in parts.items():
-        if power[k] != 0:
-            total = part * power[k] if total is None else total + part * power[k]
-    return 0 if total is None else total.tocsr() if hasattr(total, "tocsr") else total
+class _Mixture:
+    """base + sum_k power_k parts_k for many powers: where the entries of sparse parts go is found once.
+
+    base None: nothing; 0 where there is nothing at all"""
+
+    def __init__(self, base, parts):
+        self.base, self.parts = base, parts
+        self.sparse = any(hasattr(A, "tocsr") for A in parts.values())
+        if not self.sparse:
+            return
+        every = ([base] if base is not None else []) + list(parts.values())
+        pattern = lambda A: type(A)((np.ones(len(A.data), np.float32), A.indices.copy(), A.indptr.copy()), shape=A.shape)
+        whole = pattern(every[0])
+        for A in every[1:]:
+            whole = whole + pattern(A)
+        whole.sort_indices()
+        self.shape, self.indices, self.indptr, self.kind = whole.shape, whole.indices, whole.indptr, type(whole)
+        columns = np.int64(whole.shape[1])
+        rows_of = lambda A: np.repeat(np.arange(A.shape[0], dtype=np.int64), np.diff(A.indptr))
+        keys = rows_of(whole) * columns + whole.indices
+        place = lambda A: np.searchsorted(keys, rows_of(A) * columns + A.indices)
+        self.places = {k: place(A) for k, A in parts.items()}
+        self.first = np.zeros(len(keys), np.float32)
+        if base is not None:
+            np.add.at(self.first, place(base), base.data)
+
+    def at(self, power):
+        if not self.sparse:
+            total = self.base
+            for k, part in self.parts.items():
+                total = part * power[k] if total is None else total + part * power[k]
+            return 0 if total is None else total
+        data = self.first.copy()
+        for k, part in self.parts.items():
+            if power[k] != 0:
+                data[self.places[k]] += np.float32(power[k]) * part.data       # no entry of a part stands there twice
+        return self.kind((data, self.indices, self.indptr), shape=self.shape)
 
 
 def _times(matrices, X, channel=None):
@@ -218,8 +256,7 @@ class Light:
     def bent(self, W, V, E, b):
         """Derivative of the lobes' light with respect to one shape, (T, C)."""
         power = self.p.specular.chains.power(self.ways.rho_s)
-        one = lambda parts, X: _times([_sum(None, parts, power[:, c]) for c in range(power.shape[1])], X)
-        return one(W, b) + one(V, E)
+        return sum((power[k] * (A @ X) for parts, X in ((W, b), (V, E)) for k, A in parts.items()), np.zeros((len(self.p.tile_group), self.p.channels)))
 
     def shown(self, rho, E, b, bend=(), G=None):
         """Radiosity of the tiles, (T, C)."""

@@ -69,10 +69,13 @@ class Chains:
 
     def then(self, chain, group):
         """Numbers (n,) of the chains `chain` (n,) with one more meeting of `group` (n,)."""
-        if not len(chain):
-            return chain
-        pair, where = np.unique(np.stack([chain, group], axis=1), axis=0, return_inverse=True)
-        return np.array([self.number(tuple(c + (m == g) for m, c in enumerate(self.count[k]))) for k, g in pair], np.int32)[where.reshape(-1)]
+        M = len(self.count[0])
+        pair = np.asarray(chain, np.int64) * M + group
+        table = np.zeros(len(self) * M, np.int32)
+        for both in np.flatnonzero(np.bincount(pair, minlength=len(table))):
+            k, g = divmod(int(both), M)
+            table[both] = self.number(tuple(c + (m == g) for m, c in enumerate(self.count[k])))
+        return table[pair]
 
     def number(self, count):
         if count not in self._number:
@@ -133,7 +136,7 @@ def first_met(rays, triangle, t) -> Met:
 def follow(surface: Surface, finish: Finish, chains: Chains, start: Met, *, depth=DEPTH, seed=0, at_lobe=None):
     """Yields Met after each specular surface, until no ray goes on; rays that meet no specular facet end.
 
-    at_lobe : called with (p, facet, sign, view, Met of those that are at a glossy surface, number of the specular group)
+    at_lobe : called with (p, facet, sign, Met of those that are at a glossy surface, number of the specular group, tangent frames, step)
     """
     of, axes = finish.facets(surface)
     met = start
@@ -149,12 +152,12 @@ def follow(surface: Surface, finish: Finish, chains: Chains, start: Met, *, dept
             return
         group = of[f]
         rays, weight, lobe, p, sign = _bounced(met.rays, met.t, at, f, group, glossy, surface.normal, surface.inside, axes, np.asarray(finish.alpha, float),
-                                               finish.form, met.source[at], seed + 17 * step)
+                                               finish.form, met.source[at], step, seed)
         if at_lobe is not None and glossy.any():
             g = np.flatnonzero(glossy & (sign != 0))
             here = Met(met.rays[at[g]], met.triangle[at[g]], met.t[at[g]], met.source[at[g]], chains.then(met.chain[at[g]], group[g]),
                        met.weight[at[g]], met.lobe[at[g]], met.glossy[at[g]])
-            at_lobe(p[g], f[g], sign[g], here, group[g], axes)
+            at_lobe(p[g], f[g], sign[g], here, group[g], axes, step)
         live = np.flatnonzero(weight > 0)
         if not len(live):
             return
@@ -165,15 +168,29 @@ def follow(surface: Surface, finish: Finish, chains: Chains, start: Met, *, dept
 
 
 @njit(cache=True, inline="always")
-def _roberts(i, seed):
-    """Two numbers in (0, 1): the i-th point of Roberts' sequence, shifted by the seed."""
-    u = (0.5 + 0.7548776662466927 * i + 0.6180339887498949 * seed) % 1.0
-    v = (0.5 + 0.5698402909980532 * i + 0.3247179572447461 * seed) % 1.0
+def _mixed(x):
+    """A 64-bit number with its bits well mixed (splitmix64)."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@njit(cache=True, inline="always")
+def _numbers(i, step, seed):
+    """Two numbers in (0, 1) for the i-th ray: at its first specular surface the points of Roberts' sequence, which are spread
+    evenly; further on independent of those, as they must be (the same points again would favour some ways over others)."""
+    if step == 0:
+        u = (0.5 + 0.7548776662466927 * i + 0.6180339887498949 * seed) % 1.0
+        v = (0.5 + 0.5698402909980532 * i + 0.3247179572447461 * seed) % 1.0
+    else:
+        x = _mixed(np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(step * 7919 + 1) * np.uint64(0xD1B54A32D192ED03) + np.uint64(int(seed * 1000)))
+        u = float(x >> np.uint64(32)) / 4294967296.0
+        v = float(x & np.uint64(0xFFFFFFFF)) / 4294967296.0
     return min(max(u, 1e-9), 1 - 1e-9), v
 
 
 @njit(cache=True, parallel=True)
-def _bounced(rays, t, at, facet, group, glossy, normal, inside, axes, alpha, form, source, seed):
+def _bounced(rays, t, at, facet, group, glossy, normal, inside, axes, alpha, form, source, step, seed):
     """The next pieces of the ways: rays (m, 6), weight (m,) 0 where a way ends, density (m,), where they begin (m, 3), and the
     side (m,): 1 front, -1 back, 0 where the ray came out of a solid."""
     m = len(at)
@@ -200,7 +217,7 @@ def _bounced(rays, t, at, facet, group, glossy, normal, inside, axes, alpha, for
                 ox -= rays[i, 3 + d] * axes[f, 0, d]
                 oy -= rays[i, 3 + d] * axes[f, 1, d]
             ax, ay = alpha[group[j], 0], alpha[group[j], 1]
-            u, v = _roberts(source[j], seed)
+            u, v = _numbers(source[j], step, seed)
             ix, iy, iz = ward.sample(ax, ay, ox, oy, cosine, u, v)
             if iz <= 1e-6:
                 continue
@@ -269,12 +286,12 @@ def lamp_areas(lamps):
     return np.array([0.5 * np.linalg.norm(np.cross(e.corners[:, 1] - e.corners[:, 0], e.corners[:, 2] - e.corners[:, 0]), axis=1).sum() for e in lamps])
 
 
-def lobe_light(surface: Surface, finish: Finish, lamps, p, facet, sign, met: Met, group, axes, *, seed=0):
+def lobe_light(surface: Surface, finish: Finish, lamps, p, facet, sign, met: Met, group, axes, step, *, seed=0):
     """What the lamps send straight into lobes, by one ray to each emitter: (n, lamps) of the balance heuristic's share, without rho_s."""
     light = np.zeros((len(p), len(lamps)))
     for k, lamp in enumerate(lamps):
         rays, value = _to_lamp(p, facet, sign, met.rays, met.source, group, surface.normal, axes, np.asarray(finish.alpha, float), finish.form, lamp.corners,
-                               lamp.normal, lamp.cdf, lamp_areas([lamp])[0], seed + k)
+                               lamp.normal, lamp.cdf, lamp_areas([lamp])[0], step, seed + k + 0.37)
         lit = np.flatnonzero(value > 0)
         if surface.n_occluders:
             value[lit[surface.shadows.occluded(rays[lit], 1 - 1e-4)]] = 0
@@ -283,13 +300,13 @@ def lobe_light(surface: Surface, finish: Finish, lamps, p, facet, sign, met: Met
 
 
 @njit(cache=True, parallel=True)
-def _to_lamp(p, facet, sign, view, source, group, normal, axes, alpha, form, corners, front, cdf, area, seed):
+def _to_lamp(p, facet, sign, view, source, group, normal, axes, alpha, form, corners, front, cdf, area, step, seed):
     n = len(p)
     rays = np.zeros((n, 6), np.float32)
     value = np.zeros(n)
     for j in prange(n):
         f = facet[j]
-        u, v = _roberts(source[j], seed + 0.37)
+        u, v = _numbers(source[j], step, seed)
         k = 0
         while k < len(cdf) - 1 and cdf[k] <= u:
             k += 1
@@ -353,11 +370,12 @@ class Rows:
     lost: float = 0.0                            # share of the rays that were still on their way when the count ran out
 
 
-def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, ray_start, begin, *, seed=0, by_rays=False, progress=None) -> Rows:
+def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, ray_start, begin, *, seed=0, by_rays=False, detail=None, progress=None) -> Rows:
     """The specular part of the rows of elements.
 
     ray_start : (R + 1,) rays of each element;  begin(first, last) -> Met of the rays of the elements first..last-1, and which of them count
     lamps : not mirrored ones;  by_rays : count lamps that mirrors alone lead to, too (there are no mirrored lamps)
+    detail : (rays, triangle, t, patch) -> what the light there is of its patch's, (n,); None: patches are of one light
     """
     from scipy.sparse import csr_array
     R, N = len(ray_start) - 1, len(mesh)
@@ -372,12 +390,12 @@ def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_
         result.rays += len(start)
 
         def keep(store, chain, row, column, value):
-            for k in np.unique(chain):
-                mine = chain == k
+            for k in np.flatnonzero(np.bincount(chain)):
+                mine = np.flatnonzero(chain == k)
                 store.setdefault(int(k), []).append((row[mine], column[mine], value[mine]))
 
-        def at_lobe(p, facet, sign, met, group, axes):
-            each = lobe_light(surface, finish, lamps, p, facet, sign, met, group, axes, seed=seed) * share[met.source][:, None]
+        def at_lobe(p, facet, sign, met, group, axes, step):
+            each = lobe_light(surface, finish, lamps, p, facet, sign, met, group, axes, step, seed=seed) * share[met.source][:, None]
             for j, lamp in enumerate(lamps):
                 keep(light, met.chain, element[met.source], np.full(len(met), lamp.lamp), each[:, j])
 
@@ -385,7 +403,8 @@ def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_
             value = met.weight * share[met.source]
             hit = _located(surface, mesh, met.rays, met.triangle, met.t)
             good = np.flatnonzero(hit >= 0)
-            keep(factors, met.chain[good], element[met.source[good]], hit[good], value[good])
+            finer = 1 if detail is None else detail(met.rays[good], met.triangle[good], met.t[good], hit[good])
+            keep(factors, met.chain[good], element[met.source[good]], hit[good], value[good] * finer)
             which, weight = lamp_found(surface, lamps, replace(met, glossy=met.glossy + by_rays))
             on = np.flatnonzero(which >= 0)
             keep(light, met.chain[on], element[met.source[on]], np.array([lamps[k].lamp for k in which[on]], int), weight[on] * share[met.source[on]])
@@ -469,12 +488,15 @@ def add_lamps(D, mirrored, way, factor, n_lamps):
 
 @dataclass(frozen=True)
 class Ways:
-    """What rays need to go on in a picture: rho_s : (M, C);  lamps : plain ones;  E : (L, C);  by_rays : see Transport"""
+    """What rays need to go on in a picture. rho_s : (M, C);  lamps : plain ones;  E : (L, C);  every, E_every : mirrored ones, too
+    by_rays : see Transport"""
     finish: Finish
     chains: Chains
     rho_s: np.ndarray
     lamps: list
     E: np.ndarray
+    every: list
+    E_every: np.ndarray
     by_rays: bool
 
 

@@ -8,7 +8,7 @@ reads   gather        the light of each tile of trusted pixels
         formfactors   the balance between the patches
         lamps         emittance per channel, or "unknown"; reference: known reflectances
         audit         the light of all pixels: whether a group is diffuse; and model, camera, photograph, facet, read only if one is not
-writes  materials     per group: its kind, rho_d, rho_s, alpha, tangent with sigma; lamps; transfer function
+writes  materials     per group: its kind, rho_d, rho_s, alpha, tangent with sigma; lamps; transfer function; beside it textures/ if a group has one
 """
 import argparse
 import os
@@ -51,16 +51,16 @@ def main(opt):
             factors = form_factors.read(opt.formfactors)
             gathered = gather.read(opt.gather)
             problem = materials.problem(factors, gathered, lamps=opt.lamps, reference=opt.reference, transfer=opt.transfer)
-        climb = None
+        climb = textures = None
         trace = lambda iteration, image_rmse, state: report.trace(iteration=iteration, image_rmse=image_rmse, gamma=state.gamma)
         with report.timing("fit"):
             if opt.method == "gauss-newton":
                 result, scale = reflectance.fit(problem, gamma=opt.gamma, max_iterations=opt.max_iterations, tolerance=opt.tolerance, trace=trace)
-                problem, result, scale, climb = climbed(opt, report, problem, result, scale, factors, gathered)
+                problem, result, scale, climb, textures = climbed(opt, report, problem, result, scale, factors, gathered)
             else:
                 result = reflectance.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
                 scale = reflectance.scale(problem)
-        found = materials.describe(problem, result, gathered, scale=scale, transfer=opt.transfer, climb=climb)
+        found = materials.describe(problem, result, gathered, scale=scale, transfer=opt.transfer, climb=climb, textures=textures)
         report.status = found["status"]
         report["scale"], report["iterations"] = scale, result.iterations
         report["uncertainty"], report["misfit"] = result.shares, result.misfit
@@ -75,13 +75,13 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
     """The ladder: nothing but an audit where every group is diffuse."""
     from lib import cameras, gather, image, ladder, mesh as meshes, model as models
     if not all((opt.audit, opt.model, opt.camera, opt.photograph, opt.facet)) or len(problem.tile_group) == 0:
-        return problem, result, scale, None
+        return problem, result, scale, None, None
     audit = gather.read(opt.audit)
     given = {problem.groups.index(name): kind for name, kind in opt.surfaces.items()}
     misfits = ladder.audit(factors.subcell(), problem, result, ladder.unplaced(audit))
     report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": {problem.groups[g]: m.excess for g, m in misfits.items()}, "rays": {}, "rounds": 0}
     if not ladder.flagged(problem, misfits, given, opt.threshold):
-        return problem, result, scale, None
+        return problem, result, scale, None, None
     model = models.load(opt.model)
     site = ladder.site(meshes.surface(model, factors.lamps), factors, cameras.read_cameramodel(opt.camera), image.read_photograph(opt.photograph),
                        image.read_labels(opt.facet) - 1, problem, gathered, audit)
@@ -90,7 +90,13 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
                          options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})
     summary |= {"rays": site.spent, "rounds": climb.rounds, "end": {problem.groups[g]: m.excess for g, m in climb.misfits.items()},
                 "rungs": {problem.groups[g]: p.rung for g, p in climb.places.items() if p.rung != "diffuse"}}
-    return climb.problem, climb.result, climb.scale, climb
+    folder = Path(opt.materials).parent / "textures"
+    maps = ladder.albedo_maps(site, climb)
+    if maps:
+        from lib import textures
+        folder.mkdir(exist_ok=True)
+        maps = {g: {str(f): f"textures/{Path(textures.write(folder, texture)).name}" for f, texture in found.items()} for g, found in maps.items()}
+    return climb.problem, climb.result, climb.scale, climb, maps
 
 
 if __name__ == "__main__":
