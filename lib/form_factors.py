@@ -245,6 +245,8 @@ def buried(surface: Surface, rays, triangle):
     if not surface.overlap.any():
         return np.zeros(0, int)
     doubtful = np.flatnonzero((triangle >= 0) & (surface.overlap[surface.facet[triangle]] != 0))
+    if not len(doubtful):                        # open3d crashes where it has no ray to follow
+        return doubtful
     return doubtful[surface.caster.winding(rays[doubtful], surface.overlap, surface.facet, surface.normal) > 0]
 
 

@@ -441,19 +441,25 @@ def as_mirror(site, problem, state, finish, rho_s, g):
     irradiance = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b
     power = chains.power(np.vstack([rho_s, np.ones((1, C))]))[t.chain]
     weight = t.n_pixels[:, None] * np.ones(C)
-    direct = np.isin(np.arange(len(problem.groups)), problem.tile_group)
     rho = state.rho.copy()
-    for other in np.unique(t.group):
-        if other == g:                                             # seen in another mirror in this one: as that one would be
-            rho[other] = 0
-        elif not direct[other]:
+    rho[g] = 0                                                     # seen in another mirror in this one: as that one would be
+    known = np.isin(t.group, np.setdiff1d(problem.tile_group, [g]))
+
+    def tinted(s):
+        """The picture of a mirror of this rho_s; what it alone shows has the reflectance that suits it best."""
+        fitted = rho.copy()
+        for other in np.unique(t.group[~known & (t.group != g)]):
             mine = t.group == other
-            rho[other] = np.clip(_scaled(metric, (power * irradiance)[mine], seen[mine], weight[mine]), 0, 1)
-    B = power * rho[t.group] * irradiance
+            fitted[other] = np.clip(_scaled(metric, (s * power * irradiance)[mine], seen[mine], weight[mine]), 0, 1)
+        return s * power * fitted[t.group] * irradiance
+
     plain = _plain(site, problem, state, g)
-    perfect = Trial("mirror", g, misfit(problem, state.gamma, B, seen, t.n_pixels), plain, np.zeros(C), np.ones(C))
-    s = np.clip(_scaled(metric, B, seen, weight), 0, 1)
-    return [perfect, Trial("coloured_mirror", g, misfit(problem, state.gamma, s * B, seen, t.n_pixels), plain, np.zeros(C), s)]
+    one = np.ones(C)
+    trials = [Trial("mirror", g, misfit(problem, state.gamma, tinted(one), seen, t.n_pixels), plain, np.zeros(C), one)]
+    if known.any():                                                # else rho_s and what it shows cannot be told apart
+        s = np.clip(_scaled(metric, (power * rho[t.group] * irradiance)[known], seen[known], weight[known]), 0, 1)
+        trials.append(Trial("coloured_mirror", g, misfit(problem, state.gamma, tinted(s), seen, t.n_pixels), plain, np.zeros(C), s))
+    return trials
 
 
 def _plain(site, problem, state, g) -> Misfit:

@@ -664,7 +664,7 @@ def synthesise(mi, recipe, opt):
     if recipe.mirrors():
         image.write_png16(truth / "reflected.png", reflected_groups(recipe))
     for group, texture in ((g, s.texture) for g, s in recipe.surfaces.items() if s.texture):
-        file = f"texture-{facet_of(out / 'model.obj', group)}.exr"
+        file = f"texture-{facet_of(recipe, group)}.exr"
         write_half(truth / file, texture.image)
         materials["groups"][group]["texture"] = {file[8:-4]: file}
         contents.setdefault("textures", {})[group] = {"file": file, **{k: [float(x) for x in getattr(texture, k)] for k in ("origin", "u", "v")}}
@@ -684,12 +684,10 @@ def displayed_noise(recipe, passes, labels):
     return {"median": round(float(np.median(error)), 5), "of_1000_the_worst": round(float(np.quantile(error, .999)), 5), "worst": round(float(error.max()), 5)}
 
 
-def facet_of(path, group):
-    """The number of the group's only facet, as lib/model counts them."""
-    from lib import model
-    m = model.load(path)
-    facet, = (f for f, g in enumerate(m.facet_group) if m.groups[g] == group)
-    return facet
+def facet_of(recipe, group):
+    """The number of the group's only facet in model.obj: every polygon is one there, object by object."""
+    number, = (k for k, p in enumerate(p for o in recipe.objects for p in recipe.polygons if p.object == o) if p.group == group)
+    return number
 
 
 def true_materials(recipe, pixels):
