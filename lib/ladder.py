@@ -224,7 +224,7 @@ def _tiles_of(site, finish, chains, textured, *, rays=512):
     return Receivers.joined(parts)
 
 
-def lobes(site, finish, chains, tiles, *, rays=192):
+def lobes(site, finish, chains, tiles, *, rays=192, seed=7):
     """Rows of the tiles that show a lobe: specular.Rows over all T tiles."""
     from lib import specular
     which = np.flatnonzero(tiles.lobe >= 0)
@@ -234,7 +234,7 @@ def lobes(site, finish, chains, tiles, *, rays=192):
     n = np.maximum(rays, some.n_pixels * 4)
     ray_start = np.concatenate([[0], np.cumsum(n)]).astype(np.int64)
     begin = specular.from_views(site.surface, ray_start, some.start, some.p, np.repeat(some.facet, some.n_pixels), some.direction, np.repeat(some.chain, some.n_pixels))
-    rows = specular.rows(site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, ray_start, begin, seed=7, detail=site.detail)
+    rows = specular.rows(site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, ray_start, begin, seed=seed, detail=site.detail)
     site.note("rays in lobes", rows.rays)
     from scipy.sparse import csr_array
     spread = csr_array((np.ones(len(which), np.float32), (which, np.arange(len(which)))), shape=(len(tiles), len(which)))
@@ -285,9 +285,14 @@ def bends(site, finish, chains, tiles, shapes, *, step=0.03):
         normal = main_normal(site.surface, finish.groups[m])
         mine = replace(tiles, lobe=np.where(tiles.lobe == m, m, -1))
         there, back = (lobes(site, bent(finish, m, name, sign * step, normal), chains, mine) for sign in (1, -1))
-        difference = lambda a, b: {k: (a.get(k, 0) - b[k] if k in b else a[k]) * (0.5 / step) if k in a else b[k] * (-0.5 / step) for k in {*a, *b}}
-        result.append((m, name, difference(there.F, back.F), difference(there.D, back.D), -0.35, 0.35))
+        half = 0.5 / step
+        result.append((m, name, _combined(there.F, back.F, half, -half), _combined(there.D, back.D, half, -half), -0.35, 0.35))
     return result
+
+
+def _combined(a, b, x, y):
+    """x a + y b of two dictionaries of matrices."""
+    return {k: x * a[k] + y * b[k] if k in a and k in b else x * a[k] if k in a else y * b[k] for k in {*a, *b}}
 
 
 def detailed(site, finish, state):
@@ -310,19 +315,31 @@ def main_normal(surface, group):
     return surface.normal[f[np.argmax(surface.size[f].prod(axis=1))]]
 
 
-def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=None) -> Problem:
+def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=None, final=False) -> Problem:
     """The inverse problem of the tiles that take part in the fit; finish None: nothing is specular.
 
     rho_s : (M, C), NaN where free;  variance : (G,) display, of what a group's tiles are known to differ by
+    final : trace the lobes twice, and without light within patches: what that changes is their uncertainty
     """
+    from lib import specular
     base, some = site.base, np.flatnonzero(tiles.fit)
     t = tiles.take(some)
     spec = None
     if finish is not None:
         F, D, G, D_tile = transport
-        rows = lobes(site, finish, chains, t)
+        rows, doubts = lobes(site, finish, chains, t), []
+        if final and rows.F:
+            again = lobes(site, finish, chains, t, seed=8)
+            doubts.append(("lobes' rays", _combined(rows.F, again.F, 0.5, -0.5), _combined(rows.D, again.D, 0.5, -0.5)))
+            if site.detail is not None:
+                detail, site.detail = site.detail, None
+                plain = lobes(site, finish, chains, t)
+                site.detail = detail
+                # a third of what a finer look changed may still be missing (the same reasoning as form_factors.Factors.subcell)
+                doubts.append(("lobes' light", _combined(rows.F, plain.F, 1 / 3, -1 / 3), {}))
+            rows = specular.Rows(_combined(rows.F, again.F, 0.5, 0.5), _combined(rows.D, again.D, 0.5, 0.5), rows.rays)
         spec = Specular(finish.groups, chains, F, D, {k: A[some] for k, A in G.items()}, {k: A[some] for k, A in D_tile.items()}, t.chain, rows.F, rows.D,
-                        rho_s, bends(site, finish, chains, t, shapes))
+                        rho_s, bends(site, finish, chains, t, shapes), doubts)
     seen = lambda half=None: (t.rows.matrix(half) @ site.subcell).tocsr()
     return replace(base, G=seen(), G_plain=t.rows.matrix(), D_tile=t.direct, tile_group=t.group, tile_object=t.object, start=t.start, pixels=t.values,
                    halves=(seen(0), seen(1), *base.halves[2:]) if base.halves else (), specular=spec, variance=None if variance is None else variance[t.group][:, None])
@@ -607,7 +624,16 @@ def albedo_maps(site, climb) -> dict:
     found = {}
     for g in groups:
         wanted = [int(f) for f in np.unique(facet[facet >= 0]) if surface.group[f] == g]
-        found[g] = textures.albedo_maps(surface, site.camera, facet, site.pure & (facet >= 0), linear, irradiance, noise, state.rho[g], wanted)
+        usable = site.pure & np.isin(facet, wanted)
+        found[g] = textures.albedo_maps(surface, site.camera, facet, usable, linear, irradiance, noise, state.rho[g], wanted)
+        mine = np.flatnonzero(usable[seen.y, seen.x])
+        if len(mine):                                              # what is left of the error with the texture
+            y, x = seen.y[mine], seen.x[mine]
+            B = np.zeros((len(mine), C))
+            for f, texture in found[g].items():
+                at = np.flatnonzero(seen.facet[mine] == f)
+                B[at] = textures.lookup(texture, surface, seen.p[mine[at]]) * irradiance[y[at], x[at]]
+            climb.misfits[g] = misfit(climb.problem, state.gamma, B, linear[y, x], np.ones(len(mine)))
     site.note("textured pixels", len(seen))
     return found
 
@@ -640,7 +666,6 @@ class Climb:
     tiles: Receivers
     rounds: int = 0
     sigma_shape: dict = field(default_factory=dict)
-    chosen: dict = field(default_factory=dict)
 
 
 def flagged(problem, misfits, given, threshold) -> list:
@@ -811,7 +836,7 @@ def _refit(site, here, options) -> Climb:
                 if site.detail is not None or not (np.asarray(finish.alpha)[finish.kind == specular.GLOSSY] < SHARP).any():
                     break
                 site.detail = detailed(site, finish, result.state)     # sharp lobes see more than patches
-        problem = assemble(site, finish, chains, tiles, transport, free, _shapes(places, finish), variance)
+        problem = assemble(site, finish, chains, tiles, transport, free, _shapes(places, finish), variance, final=True)
         result, scale = reflectance.fit(problem, start=start, **options)
         # a mirror that is not quite perfect is coloured
         perfect = [m for m, g in enumerate(finish.groups) if places[g].rung == "mirror" and not places[g].given]

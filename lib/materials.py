@@ -1,6 +1,8 @@
 """materials.json: from stored light and facts to the inverse problem, and from its solution to the file (SCENE.md 4)."""
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from lib import reflectance
@@ -73,10 +75,17 @@ def _three(values):
     return [float(v) for v in np.broadcast_to(values, 3)]
 
 
+@dataclass(frozen=True)
+class Textured:
+    """The albedo maps of a group. files : {facet number: file beside materials.json};  mean : (C,) over the facets' areas"""
+    files: dict
+    mean: np.ndarray
+
+
 def describe(problem, result, gathered, *, scale, transfer, climb=None, textures=None) -> dict:
     """The content of materials.json. One-channel results stand three times.
 
-    climb : ladder.Climb where a group is not diffuse;  textures : {group: {facet number: file}}
+    climb : ladder.Climb where a group is not diffuse;  textures : {group: Textured}
     """
     state = result.state
     specular = {} if climb is None or climb.finish is None else {g: m for m, g in enumerate(climb.finish.groups)}
@@ -121,10 +130,10 @@ def _of_rung(climb, g, m, textures, sigma):
     """What a group's rung adds to its entry: g its number, m that among the specular groups, or None."""
     place, state = climb.places[g], climb.result.state
     entry = {"ladder": {"rung": place.rung, "why": place.why, "tried": place.tried}} if place.why else {}
-    if g in climb.misfits and m is not None:
+    if g in climb.misfits and (m is not None or place.rung == "textured"):
         entry["error"] = climb.misfits[g].rms
     if place.rung == "textured":
-        return entry | {"kind": "textured", "texture": textures}
+        return entry | {"kind": "textured"} | ({"texture": textures.files, "rho_d": _three(textures.mean)} if textures else {})
     if m is None:
         return entry
     known = climb.problem.specular.rho_s[m]

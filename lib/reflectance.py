@@ -83,6 +83,7 @@ class Specular:
     V: dict                      # chain -> (T, L)
     rho_s: np.ndarray            # (M, C); NaN where unknown
     bend: list = field(default_factory=list)      # of (m, name, W, V, low, high): bounds of the step in that shape
+    doubts: list = field(default_factory=list)    # of (cause, W, V): changes of the lobes as large as one standard deviation
     _mixtures: dict = field(default_factory=dict, repr=False)
 
     def mixture(self, name, base):
@@ -651,6 +652,8 @@ def _uncertainty(problem, layout, at, result):
     at.light.at(state.rho_s)
     rho_tile = at.light.ways.seen * rho_tile
     terms = {"discretisation": 0.5 * push(rho_tile * ((problem.G - problem.G_plain) @ state.b))}
+    for name, W, V in problem.specular.doubts if problem.specular is not None else ():
+        terms[name] = push(at.light.bent(W, V, state.E, state.b))
     if problem.halves:
         G0, G1, F0, F1 = problem.halves
         b0, b1 = (Light(problem, F, problem.G, state.rho_s).solve(state.rho, state.E, state.b)[0] for F in (F0, F1))

@@ -73,7 +73,7 @@ def main(opt):
 
 def climbed(opt, report, problem, result, scale, factors, gathered):
     """The ladder: nothing but an audit where every group is diffuse."""
-    from lib import cameras, gather, image, ladder, mesh as meshes, model as models
+    from lib import cameras, gather, image, ladder, materials, mesh as meshes, model as models
     if not all((opt.audit, opt.model, opt.camera, opt.photograph, opt.facet)) or len(problem.tile_group) == 0:
         return problem, result, scale, None, None
     audit = gather.read(opt.audit)
@@ -88,15 +88,17 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
     climb = ladder.climb(site, result, scale, given=given, threshold=opt.threshold,
                          trace=lambda c: report.trace(round=c.rounds, image_rmse=c.result.rmse, gamma=c.result.state.gamma),
                          options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})
+    written = {}
+    for g, maps in ladder.albedo_maps(site, climb).items():
+        from lib import textures
+        folder = Path(opt.materials).parent / "textures"
+        folder.mkdir(exist_ok=True)
+        area = meshes.facet_areas(site.surface)[list(maps)]
+        written[g] = materials.Textured({str(f): f"textures/{Path(textures.write(folder, texture)).name}" for f, texture in maps.items()},
+                                        sum(a * textures.mean(texture) for a, texture in zip(area, maps.values())) / area.sum())
     summary |= {"rays": site.spent, "rounds": climb.rounds, "end": {problem.groups[g]: m.excess for g, m in climb.misfits.items()},
                 "rungs": {problem.groups[g]: p.rung for g, p in climb.places.items() if p.rung != "diffuse"}}
-    folder = Path(opt.materials).parent / "textures"
-    maps = ladder.albedo_maps(site, climb)
-    if maps:
-        from lib import textures
-        folder.mkdir(exist_ok=True)
-        maps = {g: {str(f): f"textures/{Path(textures.write(folder, texture)).name}" for f, texture in found.items()} for g, found in maps.items()}
-    return climb.problem, climb.result, climb.scale, climb, maps
+    return climb.problem, climb.result, climb.scale, climb, written
 
 
 if __name__ == "__main__":
