@@ -11,6 +11,7 @@ floor and touch the walls.  z is up; metres.
 """
 from dataclasses import dataclass, field
 from pathlib import Path
+import functools
 import json
 
 import numpy as np
@@ -718,6 +719,7 @@ _GLYPHS = {           # rows of five, from the top
 }
 
 
+@functools.cache
 def poster_image(width=420, height=300, fine=4) -> np.ndarray:
     """(height, width, 3) reflectances of a printed poster: a soft photograph, letters, figures, stripes.  Drawn `fine` times as large, then averaged."""
     random = np.random.default_rng(23)
@@ -746,6 +748,7 @@ def poster_image(width=420, height=300, fine=4) -> np.ndarray:
     return out.astype(np.float16).astype(float)                   # exactly what the EXR holds
 
 
+@functools.cache
 def rug_image(width=288, height=192, fine=4) -> np.ndarray:
     """(height, width, 3) of a woven rug: borders, diamonds, bands."""
     y, x = np.mgrid[:height * fine, :width * fine] + .5

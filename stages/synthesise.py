@@ -9,6 +9,7 @@ make them again.  The same options give the same numbers (of one variant, up to 
 reads   lib/recipes.py
 writes  OUT/            scene.yaml model.obj model.mtl left.png|left.exr left.posed.cameramodel origin.md
         OUT/truth/      materials.json group.png legend.json noise.json
+                        with mirrors: reflected.png (group.png, mirrors followed); with textures: texture-<facet>.exr textures.json
         of a stereo scene, without left.posed.cameramodel, also
         OUT/            right.png, boards/left-*.png and right-*.png or left.cameramodel and right.cameramodel
         OUT/truth/      {left,right}.cameramodel {left,right}.posed.cameramodel (without the lens's distortion) boards.json
@@ -21,6 +22,8 @@ pixels that no lamp's edge touches.
 A stereo pair is traced through its lenses: every sample's ray is the one that the lens puts at that place of the pixel (a
 box filter; no finished picture is warped), and the sensor's noise is added before values are rounded.  Its passes have
 `--spp` jittered samples, a square number, and only `--passes` of them.
+
+Scenes that are more than diffuse want llvm_ad_rgb where something is glossy or a perfect mirror.
 """
 import argparse
 import sys
@@ -61,6 +64,8 @@ def main(opt):
 
     mi.set_variant(opt.variant)
     recipe = recipes.make(opt.scene)
+    if opt.variant.startswith("scalar") and any(s.kind != "textured" for s in recipe.surfaces.values()):
+        raise stage.BadInput(f"--variant: {opt.variant}: mirrors and gloss are drawn by llvm_ad_rgb alone")
     if recipe.pair:
         if opt.variant.startswith("scalar") or opt.preview or round(opt.spp ** 0.5) ** 2 != opt.spp or round(opt.board_spp ** 0.5) ** 2 != opt.board_spp:
             raise stage.BadInput("a stereo scene: --variant llvm_ad_rgb, square numbers of --spp and --board-spp, no --preview")
