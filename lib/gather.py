@@ -49,13 +49,16 @@ def blocks(facet, used, *, largest=20, smallest=4, tiles_per_facet=24):
 
 
 def pure(photograph, facet):
-    """(H, W) bool: pixels that show one facet and mix with no other, neither black nor saturated."""
+    """(H, W) bool: pixels that show one facet and mix with no other, not black, and none within two of them saturated: beside
+    a highlight's core those that noise kept below saturation would be too dark on average."""
+    import cv2
     from lib.index_buffer import boundary
     values = photograph.values
     usable = (facet >= 0) & ~boundary(facet)
     if photograph.linear:
         return usable & (values > 0).all(axis=2)
-    return usable & (values > 2 / 255 + 1e-9).any(axis=2) & (values < 250 / 255 - 1e-9).all(axis=2)
+    clipped = (values >= 250 / 255 - 1e-9).any(axis=2).astype(np.uint8)
+    return usable & (values > 2 / 255 + 1e-9).any(axis=2) & (cv2.dilate(clipped, np.ones((5, 5), np.uint8)) == 0)
 
 
 def backproject(surface: Surface, camera, facet, pixel):

@@ -101,6 +101,7 @@ class Site:
     facet: np.ndarray            # (H, W) int, -1 = nothing
     base: Problem                # everything diffuse
     base_tiles: Receivers        # trusted ones and those for the audit
+    lobe_rays: int = 256         # of each tile that shows a lobe
     detail: object = None        # of light within patches, see lib.specular.rows; what sharp lobes show
     spent: dict = field(default_factory=dict)        # rays by what they were for
 
@@ -123,8 +124,8 @@ class Site:
         self.spent[what] = self.spent.get(what, 0) + int(number)
 
 
-def site(surface, factors, camera, photograph, facet, problem, gathered, audit) -> Site:
-    """gathered, audit : gather.Gathered of the trusted pixels and of all."""
+def site(surface, factors, camera, photograph, facet, problem, gathered, audit, **options) -> Site:
+    """gathered, audit : gather.Gathered of the trusted pixels and of all;  options : further fields of Site"""
     parts = []
     for g, fit in ((gathered, True), (audit, False)):
         t = g.tiles
@@ -132,7 +133,7 @@ def site(surface, factors, camera, photograph, facet, problem, gathered, audit) 
         direction = _directions(camera, t.pixel)
         parts.append(Receivers(t.facet, g.group, g.object, np.zeros(len(t), np.int32), t.start, t.pixel, g.pixels, p, side, direction, t.direct, t.rows,
                                np.full(len(t), -1, np.int32), np.full(len(t), fit)))
-    return Site(surface, factors, camera, photograph, facet, problem, Receivers.joined(parts))
+    return Site(surface, factors, camera, photograph, facet, problem, Receivers.joined(parts), **options)
 
 
 def unplaced(gathered, fit=False) -> Receivers:
@@ -209,7 +210,7 @@ def _tiles_of(site, finish, chains, textured, *, rays=512):
         pixel, view, pure = shown(site, finish, chains, mirrors)
         good = np.flatnonzero(pure & ~lamp[view.facet])
         is_glossy = np.isin(surface.group[view.facet[good]], glossy)
-        for mine, block in ((good[~is_glossy], dict(largest=20, smallest=4, per_facet=24)), (good[is_glossy], dict(largest=8, smallest=3, per_facet=300))):
+        for mine, block in ((good[~is_glossy], dict(largest=20, smallest=4, per_facet=24)), (good[is_glossy], dict(largest=12, smallest=3, per_facet=300))):
             if len(mine):
                 g = surface.group[view.facet[mine]]
                 parts.append(receivers(site, pixel[mine], view.facet[mine], view.side[mine], view.p[mine], view.direction[mine], view.chain[mine],
@@ -220,18 +221,18 @@ def _tiles_of(site, finish, chains, textured, *, rays=512):
             f = site.facet.reshape(-1)[pixel].astype(np.int32)
             p, side = gather.backproject(surface, site.camera, f, pixel)
             parts.append(receivers(site, pixel, f, side, p, _directions(site.camera, pixel), np.zeros(len(pixel), np.int32), number[surface.group[f]],
-                                   rays=rays, seed=41, largest=8, smallest=3, per_facet=400))
+                                   rays=rays, seed=41, largest=12, smallest=3, per_facet=400))
     return Receivers.joined(parts)
 
 
-def lobes(site, finish, chains, tiles, *, rays=192, seed=7):
+def lobes(site, finish, chains, tiles, *, rays=None, seed=7):
     """Rows of the tiles that show a lobe: specular.Rows over all T tiles."""
     from lib import specular
     which = np.flatnonzero(tiles.lobe >= 0)
     if not len(which):
         return specular.Rows()
     some = tiles.take(which)
-    n = np.maximum(rays, some.n_pixels * 4)
+    n = np.full(len(some), rays or site.lobe_rays)
     ray_start = np.concatenate([[0], np.cumsum(n)]).astype(np.int64)
     begin = specular.from_views(site.surface, ray_start, some.start, some.p, np.repeat(some.facet, some.n_pixels), some.direction, np.repeat(some.chain, some.n_pixels))
     rows = specular.rows(site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, ray_start, begin, seed=seed, detail=site.detail)
@@ -275,7 +276,7 @@ def bent(finish, m, name, step, normal):
     return replace(finish, alpha=alpha, tangent=tangent)
 
 
-def bends(site, finish, chains, tiles, shapes, *, step=0.03):
+def bends(site, finish, chains, tiles, shapes, *, step=0.03, rays=None):
     """Derivatives of the lobes with respect to shapes [(m, name)], by central differences over the same random numbers."""
     result = []
     for m, name in shapes:
@@ -284,7 +285,7 @@ def bends(site, finish, chains, tiles, shapes, *, step=0.03):
             continue
         normal = main_normal(site.surface, finish.groups[m])
         mine = replace(tiles, lobe=np.where(tiles.lobe == m, m, -1))
-        there, back = (lobes(site, bent(finish, m, name, sign * step, normal), chains, mine) for sign in (1, -1))
+        there, back = (lobes(site, bent(finish, m, name, sign * step, normal), chains, mine, rays=rays) for sign in (1, -1))
         half = 0.5 / step
         result.append((m, name, _combined(there.F, back.F, half, -half), _combined(there.D, back.D, half, -half), -0.35, 0.35))
     return result
@@ -315,7 +316,7 @@ def main_normal(surface, group):
     return surface.normal[f[np.argmax(surface.size[f].prod(axis=1))]]
 
 
-def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=None, final=False) -> Problem:
+def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=None, final=False, rays=None) -> Problem:
     """The inverse problem of the tiles that take part in the fit; finish None: nothing is specular.
 
     rho_s : (M, C), NaN where free;  variance : (G,) display, of what a group's tiles are known to differ by
@@ -327,7 +328,7 @@ def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=
     spec = None
     if finish is not None:
         F, D, G, D_tile = transport
-        rows, doubts = lobes(site, finish, chains, t), []
+        rows, doubts, halves = lobes(site, finish, chains, t, rays=rays), [], ()
         if final and rows.F:
             again = lobes(site, finish, chains, t, seed=8)
             doubts.append(("lobes' rays", _combined(rows.F, again.F, 0.5, -0.5), _combined(rows.D, again.D, 0.5, -0.5)))
@@ -337,9 +338,10 @@ def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=
                 site.detail = detail
                 # a third of what a finer look changed may still be missing (the same reasoning as form_factors.Factors.subcell)
                 doubts.append(("lobes' light", _combined(rows.F, plain.F, 1 / 3, -1 / 3), {}))
+            halves = (rows.F, rows.D), (again.F, again.D)
             rows = specular.Rows(_combined(rows.F, again.F, 0.5, 0.5), _combined(rows.D, again.D, 0.5, 0.5), rows.rays)
         spec = Specular(finish.groups, chains, F, D, {k: A[some] for k, A in G.items()}, {k: A[some] for k, A in D_tile.items()}, t.chain, rows.F, rows.D,
-                        rho_s, bends(site, finish, chains, t, shapes), doubts)
+                        rho_s, bends(site, finish, chains, t, shapes, rays=rays), doubts, halves)
     seen = lambda half=None: (t.rows.matrix(half) @ site.subcell).tocsr()
     return replace(base, G=seen(), G_plain=t.rows.matrix(), D_tile=t.direct, tile_group=t.group, tile_object=t.object, start=t.start, pixels=t.values,
                    halves=(seen(0), seen(1), *base.halves[2:]) if base.halves else (), specular=spec, variance=None if variance is None else variance[t.group][:, None])
@@ -507,7 +509,7 @@ class Lobe:
         f = site.facet.reshape(-1)[pixel].astype(np.int32)
         p, side = gather.backproject(site.surface, site.camera, f, pixel)
         t = receivers(site, pixel, f, side, p, _directions(site.camera, pixel), np.zeros(len(pixel), np.int32), np.full(len(pixel), M, np.int32),
-                      rays=256, largest=8, smallest=3, per_facet=400, seed=141)
+                      rays=256, largest=12, smallest=3, per_facet=400, seed=141)
         if len(t) < ENOUGH:
             return
         self.metric = reflectance._metric(problem, state.gamma)
@@ -703,7 +705,7 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
             if energy(g) < 0.1 * explained and g not in wanted:        # its error may be the other one's light: it is asked again
                 continue
             trials[g] = _tried(site, here, g, wanted.get(g), threshold)
-            explained = max([explained] + [energy(g) for t in trials[g] if t.explained > 0.9])
+            explained = max([explained] + [energy(g) for t in trials[g] if t.explained > 0.8])
         taken = _taken(here, trials, threshold, wanted, settled)
         if not taken:
             taken = _textured(here, flagged, trials, threshold, settled)
@@ -753,7 +755,7 @@ def _taken(here, trials, threshold, wanted, settled):
     if not choice:
         return []
     best = max(choice, key=lambda g: choice[g][0])
-    taken = [g for g, (_, gain, _, _) in choice.items() if g == best or g in wanted or gain > 0.9]
+    taken = [g for g, (_, gain, _, _) in choice.items() if g == best or g in wanted or gain > 0.8]
     for g in taken:
         _, gain, trial, tried = choice[g]
         said = ", ".join(f"{t.rung} {t.misfit.excess:.4f}" for t in tried)
@@ -820,9 +822,11 @@ def _refit(site, here, options) -> Climb:
     base, site.base = site.base, replace(site.base, rho=fixed)
     try:
         start = (rho, state.E, state.gamma, rho_s)
+        rough = bool(_shapes(places, finish))
         for turn in range(12):
             shapes = _shapes(places, finish)
-            problem = assemble(site, finish, chains, tiles, transport, free, shapes, variance)
+            # half the rays on the way
+            problem = assemble(site, finish, chains, tiles, transport, free, shapes, variance, rays=max(site.lobe_rays // 2, 16) if rough else None)
             result = reflectance.gauss_newton(problem, start=start, finish=False, **{**options, "max_iterations": 12, "tolerance": 1e-3})
             start = (result.state.rho, result.state.E, result.state.gamma, result.state.rho_s)
             steps = result.state.bend
@@ -832,10 +836,13 @@ def _refit(site, here, options) -> Climb:
                 finish = _ordered(site, finish, m)
             if np.max(np.abs(np.log(np.maximum(finish.alpha, 1e-6) / np.maximum(traced, 1e-6))), initial=0) > 0.25:
                 transport, traced = light(site, finish, chains, tiles), np.array(finish.alpha)
-            if np.max(np.abs(steps), initial=0) < 0.004:
-                if site.detail is not None or not (np.asarray(finish.alpha)[finish.kind == specular.GLOSSY] < SHARP).any():
-                    break
-                site.detail = detailed(site, finish, result.state)     # sharp lobes see more than patches
+            largest = np.max(np.abs(steps), initial=0)
+            if rough and largest < 0.01:
+                rough = False
+                if (np.asarray(finish.alpha)[finish.kind == specular.GLOSSY] < SHARP).any():
+                    site.detail = detailed(site, finish, result.state)     # sharp lobes see more than patches
+            elif not rough and largest < 0.004:
+                break
         problem = assemble(site, finish, chains, tiles, transport, free, _shapes(places, finish), variance, final=True)
         result, scale = reflectance.fit(problem, start=start, **options)
         # a mirror that is not quite perfect is coloured

@@ -15,6 +15,7 @@ damped, which also converges in bright rooms (DESIGN 3).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -84,6 +85,7 @@ class Specular:
     rho_s: np.ndarray            # (M, C); NaN where unknown
     bend: list = field(default_factory=list)      # of (m, name, W, V, low, high): bounds of the step in that shape
     doubts: list = field(default_factory=list)    # of (cause, W, V): changes of the lobes as large as one standard deviation
+    halves: tuple = ()           # ((W, V), (W, V)) from disjoint rays
     _mixtures: dict = field(default_factory=dict, repr=False)
 
     def mixture(self, name, base):
@@ -124,24 +126,37 @@ class Result:
 
 
 class Ways:
-    """The matrices of light at given rho_s: lists of one, or of one for each channel where rho_s is coloured."""
+    """The matrices of light at given rho_s: lists of one, or of one for each channel where rho_s is coloured. Made when asked for."""
 
     def __init__(self, problem, rho_s=None, F=None, G=None):
-        p, spec = problem, problem.specular
-        F, G = p.F if F is None else F, p.G if G is None else G
-        self.spec, self.rho_s = spec, rho_s
-        dense = lambda A: A.toarray() if hasattr(A, "toarray") and A.shape[0] <= DENSE_LIMIT else A
-        if spec is None:
-            # in single precision, which the sampling error of F dwarfs
-            self.F, self.D, self.G, self.D_tile, self.W, self.V, self.seen = [dense(F)], [p.D], [G], [p.D_tile], None, None, np.ones((1, 1))
-            return
-        power = spec.chains.power(rho_s)
-        power = power[:, :1] if (power == power[:, :1]).all() else power
-        mixed = lambda name, base: [spec.mixture(name, base).at(power[:, c]) for c in range(power.shape[1])]
-        self.F, self.G = [dense(A) for A in mixed("F", F)], mixed("G", G)
-        self.D, self.D_tile = mixed("D", p.D), mixed("D_tile", p.D_tile)
-        self.W, self.V = (mixed("W", None), mixed("V", None)) if spec.W or spec.V else (None, None)
-        self.seen = power[spec.tile_chain]
+        self.p, self.spec, self.rho_s = problem, problem.specular, rho_s
+        self.base = {"F": problem.F if F is None else F, "G": problem.G if G is None else G, "D": problem.D, "D_tile": problem.D_tile, "W": None, "V": None}
+        if self.spec is not None:
+            power = self.spec.chains.power(rho_s)
+            self.power = power[:, :1] if (power == power[:, :1]).all() else power
+
+    def _mixed(self, name):
+        if self.spec is None:
+            return None if self.base[name] is None else [self.base[name]]
+        if self.base[name] is None and not getattr(self.spec, name):
+            return None
+        return [self.spec.mixture(name, self.base[name]).at(self.power[:, c]) for c in range(self.power.shape[1])]
+
+    @cached_property
+    def F(self):
+        # in single precision, which the sampling error of F dwarfs
+        return [A.toarray() if hasattr(A, "toarray") and A.shape[0] <= DENSE_LIMIT else A for A in self._mixed("F")]
+
+    def __getattr__(self, name):
+        """G, D, D_tile, W, V, when first asked for."""
+        if name not in ("G", "D", "D_tile", "W", "V"):
+            raise AttributeError(name)
+        self.__dict__[name] = self._mixed(name)
+        return self.__dict__[name]
+
+    @cached_property
+    def seen(self):
+        return np.ones((1, 1)) if self.spec is None else self.power[self.spec.tile_chain]
 
     def slopes(self, m, c):
         """Derivatives with respect to rho_s[m, c]: of F, D, G, D_tile, W, V, each a matrix or 0, and of `seen`, (T,)."""
@@ -220,7 +235,7 @@ class Light:
 
     def at(self, rho_s):
         """The matrices at these rho_s, made anew only where they have changed."""
-        if self.ways is None or rho_s is not None and not np.array_equal(self.ways.rho_s, rho_s):
+        if self.ways is None or (rho_s is not None and not np.array_equal(self.ways.rho_s, rho_s)):
             self.ways = Ways(self.p, None if rho_s is None else rho_s.copy(), *self.given)
         return self
 
@@ -240,13 +255,25 @@ class Light:
         self.residual = residual
         return b, direct + _times(self.ways.F, b)
 
-    def tiles(self, rho, E, b, G=None):
+    def tiles(self, rho, E, b):
         """Irradiance of the tiles, (T, C)."""
-        return _times(self.ways.D_tile, E) + _times(self.ways.G if G is None else G, b)
+        return _times(self.ways.D_tile, E) + _times(self.ways.G, b)
+
+    @cached_property
+    def halves(self):
+        """Two of the same with disjoint halves of the rays of tiles and lobes; only to look at the tiles with."""
+        found = []
+        for k in (0, 1):
+            spec = self.p.specular
+            if spec is not None and spec.halves:
+                W, V = spec.halves[k]
+                spec = replace(spec, W=W, V=V, _mixtures={})
+            found.append(Light(replace(self.p, G=self.p.halves[k], specular=spec)))
+        return found
 
     def lobes(self, E, b, bend=()):
         """What lobes add to the tiles, (T, C) or 0."""
-        if self.ways.W is None:
+        if self.ways.W is None and self.ways.V is None:
             return 0
         total = _times(self.ways.V, E) + _times(self.ways.W, b)
         for step, (_, _, W, V, _, _) in zip(bend, self.p.specular.bend):
@@ -259,9 +286,9 @@ class Light:
         power = self.p.specular.chains.power(self.ways.rho_s)
         return sum((power[k] * (A @ X) for parts, X in ((W, b), (V, E)) for k, A in parts.items()), np.zeros((len(self.p.tile_group), self.p.channels)))
 
-    def shown(self, rho, E, b, bend=(), G=None):
+    def shown(self, rho, E, b, bend=()):
         """Radiosity of the tiles, (T, C)."""
-        return self.ways.seen * rho[self.p.tile_group] * self.tiles(rho, E, b, G) + self.lobes(E, b, bend)
+        return self.ways.seen * rho[self.p.tile_group] * self.tiles(rho, E, b) + self.lobes(E, b, bend)
 
     def render(self, rho, E, gamma, x0=None) -> State:
         b, _ = self.solve(rho, E, x0)
@@ -399,14 +426,14 @@ def _dot(A, x):
     return 0 if isinstance(A, int) else A @ x
 
 
-def _jacobian(problem, light, layout, state, db, G):
-    """dB/dtheta of the tiles, (T, C, n), zero for gamma; G : list of (T, N), which rays the tiles gather with."""
+def _jacobian(problem, light, layout, state, db):
+    """dB/dtheta of the tiles, (T, C, n), zero for gamma."""
     n_rho, n_E, n_s, n_bend = layout.ends
     ways, channel = light.ways, layout.channel
-    reaching = _times(G, db, channel)                                                                   # (T, n)
+    reaching = _times(ways.G, db, channel)                                                                   # (T, n)
     glossed = _times(ways.W, db, channel)
     rho_tile = ways.seen * state.rho[problem.tile_group]
-    irradiance = light.tiles(state.rho, state.E, state.b, G)
+    irradiance = light.tiles(state.rho, state.E, state.b)
     J = np.zeros((len(problem.tile_group), problem.channels, layout.size))
     of = lambda matrices, c: matrices[c if len(matrices) > 1 else 0]
     for k, c in enumerate(channel):
@@ -475,24 +502,23 @@ class _Equations:
         self.state = State(rho, E, gamma, light.shown(rho, E, b, () if bend is None else bend), b, rho_s, bend)
         self.residual, self.slope, self.by_gamma = _residual(problem, self.state.B, gamma)
 
-    def jacobian(self, G=None, slope=None, by_gamma=None):
-        """(T C, n) with the full rays or with those of G."""
+    def jacobian(self, light=None, slope=None, by_gamma=None):
+        """(T C, n) with all rays of the tiles or with those of another light."""
         self.light.at(self.state.rho_s)
         if not hasattr(self, "db"):
             self.db = _patch_derivative(self.p, self.light, self.layout, self.state, self.irradiance)
-        J = (self.slope if slope is None else slope)[:, :, None] * _jacobian(self.p, self.light, self.layout, self.state, self.db, self.light.G if G is None else G)
+        J = (self.slope if slope is None else slope)[:, :, None] * _jacobian(self.p, light or self.light, self.layout, self.state, self.db)
         if self.layout.gamma:
             J[:, :, -1] = self.by_gamma if by_gamma is None else by_gamma
         return J.reshape(-1, self.layout.size)
 
-    def half(self, G):
-        """Residual (T C,) and Jacobian (T C, n) as one half of the tiles' rays see them."""
+    def half(self, k):
+        """Residual (T C,) and Jacobian (T C, n) as half k of the rays of tiles and lobes see them."""
         s = self.state
-        self.light.at(s.rho_s)
-        G = [G] if self.p.specular is None else Ways(self.p, s.rho_s, self.p.F, G).G
-        B = self.light.shown(s.rho, s.E, s.b, () if s.bend is None else s.bend, G)
+        light = self.light.halves[k].at(s.rho_s)
+        B = light.shown(s.rho, s.E, s.b, () if s.bend is None else s.bend)
         residual, slope, by_gamma = _residual(self.p, B, s.gamma)
-        return residual.reshape(-1), self.jacobian(G, slope, by_gamma)
+        return residual.reshape(-1), self.jacobian(light, slope, by_gamma)
 
     def prior(self):
         """Of the groups never seen: gradient (n,) and Hessian diagonal (n,)."""
@@ -575,7 +601,7 @@ def _unbiased(problem, layout, at, tolerance, max_steps=8):
     low, high = layout.bounds()
     last = np.inf
     for steps in range(1, max_steps + 1):
-        (r0, J0), (r1, J1) = at.half(problem.halves[0]), at.half(problem.halves[1])
+        (r0, J0), (r1, J1) = at.half(0), at.half(1)
         gradient, diagonal = at.prior()
         cross = J0.T @ (weight[:, None] * J1)
         H = (cross + cross.T) / 2 + np.diag(diagonal)

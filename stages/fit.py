@@ -33,6 +33,7 @@ def options():
     parser.add_argument("--method", choices=["gauss-newton", "paper", "damped"], default="gauss-newton")
     parser.add_argument("--gamma", type=float, default=2.2, help="where an unknown gamma starts")
     parser.add_argument("--threshold", type=float, default=0.0125, help="display RMSE beyond noise that a group may keep before it climbs the ladder")
+    parser.add_argument("--lobe-rays", type=int, default=256, help="rays in the lobe of each tile of a glossy surface")
     parser.add_argument("--max-iterations", type=int, default=40)
     parser.add_argument("--tolerance", type=float, default=1e-5, help="largest relative change of a value in the last step")
     return parser
@@ -41,6 +42,10 @@ def options():
 def main(opt):
     from lib.report import Report
 
+    if not opt.threshold > 0 or not opt.threshold < float("inf"):
+        raise stage.BadInput(f"--threshold: {opt.threshold} is not a positive number")
+    if opt.lobe_rays < 1:
+        raise stage.BadInput(f"--lobe-rays: {opt.lobe_rays} is less than 1")
     # products with F are short: a second BLAS thread mostly waits (office: 0.47 s of CPU against 1.65 s, the same wall time)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with Report(opt.report, inputs=[opt.gather, opt.formfactors], arguments=vars(opt)) as report:
@@ -77,14 +82,21 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
     if not all((opt.audit, opt.model, opt.camera, opt.photograph, opt.facet)) or len(problem.tile_group) == 0:
         return problem, result, scale, None, None
     audit = gather.read(opt.audit)
+    if len(audit.visible) != len(problem.groups) or audit.tiles.rows.columns != len(problem.area):
+        raise stage.BadInput(f"{opt.audit}: groups, patches: {len(audit.visible)}, {audit.tiles.rows.columns} are not those of {opt.formfactors}")
     given = {problem.groups.index(name): kind for name, kind in opt.surfaces.items()}
     misfits = ladder.audit(factors.subcell(), problem, result, ladder.unplaced(audit))
     report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": {problem.groups[g]: m.excess for g, m in misfits.items()}, "rays": {}, "rounds": 0}
     if not ladder.flagged(problem, misfits, given, opt.threshold):
         return problem, result, scale, None, None
     model = models.load(opt.model)
-    site = ladder.site(meshes.surface(model, factors.lamps), factors, cameras.read_cameramodel(opt.camera), image.read_photograph(opt.photograph),
-                       image.read_labels(opt.facet) - 1, problem, gathered, audit)
+    camera, photograph, facet = cameras.read_cameramodel(opt.camera), image.read_photograph(opt.photograph), image.read_labels(opt.facet) - 1
+    for path, shape in ((opt.photograph, photograph.values.shape[:2]), (opt.facet, facet.shape)):
+        if shape != (camera.height, camera.width):
+            raise stage.BadInput(f"{path}: size: {shape[1]} x {shape[0]} is not the camera's {camera.width} x {camera.height} ({opt.camera})")
+    if tuple(model.groups) != tuple(factors.groups) or facet.max() >= model.n_facets:
+        raise stage.BadInput(f"{opt.model}: groups, facets: not those of {opt.formfactors} or {opt.facet}")
+    site = ladder.site(meshes.surface(model, factors.lamps), factors, camera, photograph, facet, problem, gathered, audit, lobe_rays=opt.lobe_rays)
     climb = ladder.climb(site, result, scale, given=given, threshold=opt.threshold,
                          trace=lambda c: report.trace(round=c.rounds, image_rmse=c.result.rmse, gamma=c.result.state.gamma),
                          options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})

@@ -32,13 +32,14 @@ def options():
     parser.add_argument("--shadow-rays", type=int, default=64, help="per pixel and lamp in a penumbra")
     parser.add_argument("--contact", type=float, default=0.35, help="distance between places, in distances of what they see")
     parser.add_argument("--tolerance", type=float, default=0.01, help="of the interpolated light, as a share of a place's total light")
+    parser.add_argument("--lobe-rays", type=int, default=128, help="per pixel of a glossy surface")
     return parser
 
 
 def main(opt):
     from lib.report import Report
 
-    for name, low in (("rays", 1), ("shadow_rays", 1), ("contact", 0), ("tolerance", 0)):
+    for name, low in (("rays", 1), ("shadow_rays", 1), ("contact", 0), ("tolerance", 0), ("lobe_rays", 1)):
         if not low <= getattr(opt, name) < float("inf"):
             raise stage.BadInput(f"--{name.replace('_', '-')}: {getattr(opt, name)} is outside [{low}, inf)")
     inputs = [opt.model, opt.camera, opt.photograph, opt.facet, opt.formfactors, opt.materials, opt.coverage]
@@ -52,7 +53,7 @@ def main(opt):
         with report.excluded("compile"):
             rendering.warm_up(scene.channels)
 
-        picture = rendering.render(scene, n_rays=opt.rays, shadow_rays=opt.shadow_rays, contact=opt.contact, tolerance=opt.tolerance,
+        picture = rendering.render(scene, n_rays=opt.rays, shadow_rays=opt.shadow_rays, contact=opt.contact, tolerance=opt.tolerance, lobe_rays=opt.lobe_rays,
                                    timing=report.timing, trace=report.trace)
         report.error("flux", picture.light.imbalance, unit="1", against="emitted = absorbed + escaped, patches")
         with report.timing("scores"):

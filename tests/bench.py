@@ -11,6 +11,7 @@ fit            paper, damped and Gauss-Newton, and the whole chain, on `office` 
 segment        the energy of eq. 2.1 beside plain merging and Pottslab (where it is installed: pip install pottslab)
 facets         planes of true regions by borders, intensities and both, against truth
 recognise      the pose by the paper's gradient and by the trust region; seeded trials of the search
+ladder         which rung each group reaches under 20 seeds of noise, and the error of mirrors and lobes (an hour)
 
 CPU seconds of one process, all threads, after a warm-up that loads or compiles every kernel; the median of repeated runs
 where they are short. A number means nothing while other work runs beside it.
@@ -216,7 +217,8 @@ def plot_fit(rows, axes):
 CURVES = {"form_factors": (form_factor_curves, plot_form_factors, 2), "solvers": (solver_curves, plot_solvers, 3),
           "meshes": (mesh_curves, plot_meshes, 2), "fit": (fit_curves, plot_fit, 2)}
 
-ALONE = {"segment": "segment_bench", "facets": "facet_curves", "recognise": "recognise_curves"}      # modules that measure and draw by themselves
+ALONE = {"segment": "segment_bench", "facets": "facet_curves", "recognise": "recognise_curves",
+         "ladder": "ladder_bench"}      # modules that measure and draw by themselves
 
 
 def surface_of(scene):
