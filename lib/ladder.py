@@ -148,13 +148,12 @@ def _directions(camera, pixel):
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def shown(site, finish, chains, groups):
-    """What every pixel of these groups shows in the end: lib.specular.View with flat index `pixel`, and which of them are pure
-    there too: all neighbours show the same facet by the same way."""
+def shown(site, finish, chains, pixel):
+    """What these pixels show in the end: lib.specular.View, and which of them are pure there too: all neighbours show the same
+    facet by the same way."""
     from lib import specular
     from lib.index_buffer import boundary
     H, W = site.facet.shape
-    pixel = np.flatnonzero((site.facet >= 0).reshape(-1) & np.isin(site.surface.group[site.facet.reshape(-1)], groups))
     origin = np.broadcast_to(site.surface.local.points(site.camera.centre), (len(pixel), 3))
     rays = np.hstack([origin, _directions(site.camera, pixel)]).astype(np.float32)
     view = specular.through_mirrors(site.surface, finish, chains, rays)
@@ -163,7 +162,12 @@ def shown(site, finish, chains, groups):
     label[pixel] = np.where(view.facet >= 0, view.facet + view.chain.astype(np.int64) * len(site.surface.normal), -1)
     dense = np.unique(label, return_inverse=True)[1].reshape(H, W)
     pure = ~boundary(dense).reshape(-1)[pixel] & (view.facet >= 0) & site.pure.reshape(-1)[pixel]
-    return pixel, view, pure
+    return view, pure
+
+
+def pixels_of(site, groups):
+    """Flat index of the pixels that show these groups at once."""
+    return np.flatnonzero((site.facet >= 0).reshape(-1) & np.isin(site.surface.group[site.facet.reshape(-1)], groups))
 
 
 def receivers(site, pixel, facet, side, p, direction, chain, lobe, *, rays, largest, smallest, per_facet, seed) -> Receivers:
@@ -207,7 +211,8 @@ def _tiles_of(site, finish, chains, textured, *, rays=512):
     parts = [base.take(np.flatnonzero(~np.isin(base.group, finish.groups)))]
     lamp = np.isin(surface.group, [surface.groups.index(name) for name in site.factors.lamps])
     if mirrors:
-        pixel, view, pure = shown(site, finish, chains, mirrors)
+        pixel = pixels_of(site, mirrors)
+        view, pure = shown(site, finish, chains, pixel)
         good = np.flatnonzero(pure & ~lamp[view.facet])
         is_glossy = np.isin(surface.group[view.facet[good]], glossy)
         for mine, block in ((good[~is_glossy], dict(largest=20, smallest=4, per_facet=24)), (good[is_glossy], dict(largest=12, smallest=3, per_facet=300))):
@@ -395,6 +400,8 @@ def audit(subcell, problem, result, tiles, transport=None) -> dict:
         if spec is not None and g in spec.groups:
             continue
         mine = np.flatnonzero((tiles.group == g) & ~tiles.fit & (tiles.chain == 0))
+        if len(mine) < ENOUGH:                                     # only mirrors show it
+            mine = np.flatnonzero((tiles.group == g) & (tiles.chain > 0))
         if len(mine) >= ENOUGH:
             found[int(g)] = misfit(problem, gamma, B[mine], seen[mine], tiles.n_pixels[mine], spread[mine])
     if spec is not None:
@@ -437,7 +444,7 @@ def _scaled(metric, B, seen, weight, rounds=8):
     return s
 
 
-def as_mirror(site, problem, state, finish, rho_s, g):
+def as_mirror(site, problem, state, finish, rho_s, g, plain):
     """Trials of group g as a perfect and as a coloured mirror, or [] where its picture cannot be judged: what the virtual
     viewpoint shows, under the light found so far. Groups that only this mirror shows are free: one factor each."""
     from lib import specular
@@ -445,7 +452,8 @@ def as_mirror(site, problem, state, finish, rho_s, g):
     wider = replace(finish, groups=(*finish.groups, g), kind=np.append(finish.kind, specular.MIRROR), alpha=np.vstack([finish.alpha, np.zeros((1, 2))]),
                     tangent=np.vstack([finish.tangent, np.zeros((1, 3))]))
     chains = specular.Chains(M + 1)
-    pixel, view, pure = shown(site, wider, chains, [g])
+    pixel = np.concatenate([pixels_of(site, [g]), _in_mirrors(site, finish, g)[0]])
+    view, pure = shown(site, wider, chains, pixel)
     lamp = np.isin(site.surface.group, [site.surface.groups.index(name) for name in site.factors.lamps])
     good = np.flatnonzero(pure & ~lamp[view.facet])
     if len(good) < 40:
@@ -472,7 +480,6 @@ def as_mirror(site, problem, state, finish, rho_s, g):
             fitted[other] = np.clip(_scaled(metric, (s * power * irradiance)[mine], seen[mine], weight[mine]), 0, 1)
         return s * power * fitted[t.group] * irradiance
 
-    plain = _plain(site, problem, state, g)
     one = np.ones(C)
     trials = [Trial("mirror", g, misfit(problem, state.gamma, tinted(one), seen, t.n_pixels), plain, np.zeros(C), one)]
     if known.any():                                                # else rho_s and what it shows cannot be told apart
@@ -481,14 +488,37 @@ def as_mirror(site, problem, state, finish, rho_s, g):
     return trials
 
 
-def _plain(site, problem, state, g) -> Misfit:
-    """The group as diffuse with its best rho_d, on the tiles of the audit."""
-    t = site.base_tiles.take(np.flatnonzero((site.base_tiles.group == g) & ~site.base_tiles.fit))
-    metric = reflectance._metric(problem, state.gamma)
+def _in_mirrors(site, finish, g):
+    """The pixels that show group g in known mirrors (n,), and by which ways, lib.specular.View (of M chains); pure ones only."""
+    from lib import specular
+    mirrors = [m for m, k in zip(finish.groups, finish.kind) if k == specular.MIRROR]
+    pixel = pixels_of(site, mirrors) if mirrors else np.zeros(0, int)
+    chains = specular.Chains(len(finish))
+    if not len(pixel):
+        return pixel, None, chains
+    view, pure = shown(site, finish, chains, pixel)
+    keep = np.flatnonzero(pure & (site.surface.group[view.facet] == g))
+    return pixel[keep], specular.View(*(getattr(view, name)[keep] for name in ("facet", "side", "p", "chain", "direction"))), chains
+
+
+def _plain(site, here, g) -> Misfit:
+    """The group as diffuse with its best rho_d, on the tiles of the audit, or those of mirrors where only they show it."""
+    t = here.tiles
+    mine = np.flatnonzero((t.group == g) & ~t.fit & (t.chain == 0))
+    if len(mine) < ENOUGH:                                         # a specular group's tiles are those of its fit: back to the first audit
+        t = site.base_tiles
+        mine = np.flatnonzero((t.group == g) & ~t.fit)
+    if len(mine) < ENOUGH:
+        t = here.tiles
+        mine = np.flatnonzero((t.group == g) & (t.chain > 0))
+    t, state = t.take(mine), here.result.state
+    metric = reflectance._metric(here.problem, state.gamma)
     seen = Pixels(t.values, t.start).linear(metric.transfer)[0]
     irradiance = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b
-    s = _scaled(metric, irradiance, seen, t.n_pixels[:, None] * np.ones(problem.channels))
-    return misfit(problem, state.gamma, s * irradiance, seen, t.n_pixels)
+    if here.finish is not None:
+        irradiance = irradiance * here.problem.specular.chains.power(state.rho_s)[t.chain]
+    s = _scaled(metric, irradiance, seen, t.n_pixels[:, None] * np.ones(here.problem.channels))
+    return misfit(here.problem, state.gamma, s * irradiance, seen, t.n_pixels)
 
 
 class Lobe:
@@ -504,11 +534,17 @@ class Lobe:
         H, W = site.facet.shape
         pixel = np.flatnonzero(site.pure.reshape(-1) & (site.surface.group[np.maximum(site.facet.reshape(-1), 0)] == g))
         self.tiles = None
-        if len(pixel) < 20:
-            return
         f = site.facet.reshape(-1)[pixel].astype(np.int32)
         p, side = gather.backproject(site.surface, site.camera, f, pixel)
-        t = receivers(site, pixel, f, side, p, _directions(site.camera, pixel), np.zeros(len(pixel), np.int32), np.full(len(pixel), M, np.int32),
+        self.power, self.known = np.ones((1, problem.channels)), None
+        direction, chain = _directions(site.camera, pixel), np.zeros(len(pixel), np.int32)
+        if len(pixel) < 20:                                        # what only mirrors show
+            pixel, view, chains = _in_mirrors(site, finish, g)
+            if len(pixel) < 20:
+                return
+            f, side, p, direction, chain = view.facet, view.side, view.p, view.direction, view.chain
+            self.power, self.known = chains.power(rho_s), chains
+        t = receivers(site, pixel, f, side, p, direction, chain, np.full(len(pixel), M, np.int32),
                       rays=256, largest=12, smallest=3, per_facet=400, seed=141)
         if len(t) < ENOUGH:
             return
@@ -517,7 +553,7 @@ class Lobe:
             t = t.take(np.unique(np.linspace(0, len(t) - 1, most).astype(int)))
         self.tiles, self.n = t, t.n_pixels
         self.seen = Pixels(t.values, t.start).linear(self.metric.transfer)[0]
-        self.irradiance = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b
+        self.irradiance = (t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b) * self.power[t.chain]
         self.weight = self.metric.slope(self.seen) ** 2 / (problem.pixel_noise ** 2 / self.n[:, None] + 0.004 ** 2)
         self.plain = self.fit(None)[0]
 
@@ -530,7 +566,11 @@ class Lobe:
             wider = replace(self.wider, alpha=np.vstack([self.wider.alpha[:-1], np.atleast_2d(alpha)]),
                             tangent=np.vstack([self.wider.tangent[:-1], np.zeros((1, 3)) if tangent is None else np.atleast_2d(tangent)]))
             chains = specular.Chains(len(wider))
-            rows = lobes(self.site, wider, chains, self.tiles, rays=128)
+            tiles = self.tiles
+            if self.known is not None:                             # the ways by which mirrors show it, in the numbers of one group more
+                number = np.array([chains.number((*count, 0)) for count in self.known.count], np.int32)
+                tiles = replace(tiles, chain=number[tiles.chain])
+            rows = lobes(self.site, wider, chains, tiles, rays=128)
             power = chains.power(self.rho_s)
             lobe = sum((power[k] * (A @ self.state.b) for k, A in rows.F.items()), np.zeros_like(self.irradiance)) \
                 + sum((power[k] * (A @ self.state.E) for k, A in rows.D.items()), np.zeros_like(self.irradiance))
@@ -729,10 +769,10 @@ def _tried(site, here, g, wanted, threshold):
     own = RUNGS.index(here.places[g].rung)
     trials = []
     if wanted in (None, "mirror", "coloured_mirror") and own < RUNGS.index("coloured_mirror"):
-        trials += as_mirror(site, here.problem, state, finish, rho_s, g)
+        trials += as_mirror(site, here.problem, state, finish, rho_s, g, _plain(site, here, g))
         if wanted:
             return [t for t in trials if t.rung == wanted]
-        if any(t.misfit.excess <= threshold for t in trials):
+        if any(t.misfit.excess <= threshold or t.explained > 0.7 for t in trials):      # if the rest is more than the light's, it climbs on
             return [t for t in trials if RUNGS.index(t.rung) > own]
     trials += as_glossy(site, here.problem, state, finish, rho_s, g, threshold)
     return [t for t in trials if RUNGS.index(t.rung) > own]
@@ -843,25 +883,22 @@ def _refit(site, here, options) -> Climb:
                     site.detail = detailed(site, finish, result.state)     # sharp lobes see more than patches
             elif not rough and largest < 0.004:
                 break
+        # every mirror may have any rho_s; one that is 1 within its uncertainty is perfect
+        mirrors = [m for m, g in enumerate(finish.groups) if "mirror" in places[g].rung and not places[g].given]
+        free[mirrors] = np.nan
         problem = assemble(site, finish, chains, tiles, transport, free, _shapes(places, finish), variance, final=True)
-        result, scale = reflectance.fit(problem, start=start, **options)
-        # a mirror that is not quite perfect is coloured
-        perfect = [m for m, g in enumerate(finish.groups) if places[g].rung == "mirror" and not places[g].given]
-        if perfect:
-            loose = free.copy()
-            loose[perfect] = np.nan
-            start = (result.state.rho, result.state.E, result.state.gamma, np.where(np.isnan(loose), np.minimum(result.state.rho_s, 0.999), result.state.rho_s))
-            other = replace(problem, specular=replace(problem.specular, rho_s=loose))
-            tint, _ = reflectance.fit(other, start=start, **options)
-            away = np.abs(tint.state.rho_s - 1) > np.maximum(3 * tint.sigma_rho_s, 0.004)
-            for m in perfect:
-                if away[m].any():
-                    g = finish.groups[m]
-                    places[g].rung, free[m] = "coloured_mirror", np.nan
-                    places[g].why += f"; rho_s = {', '.join(f'{v:.3f}' for v in tint.state.rho_s[m])} is not 1"
-            if away[perfect].any():
-                problem = replace(problem, specular=replace(problem.specular, rho_s=free))
-                result, scale = reflectance.fit(problem, start=(tint.state.rho, tint.state.E, tint.state.gamma, np.where(np.isnan(free), tint.state.rho_s, 1.0)), **options)
+        result, scale = reflectance.fit(problem, start=(*start[:3], np.where(np.isnan(free), np.minimum(start[3], 0.999), start[3])), **options)
+        for m in mirrors:
+            place, rho_s = places[finish.groups[m]], result.state.rho_s[m]
+            away = (np.abs(rho_s - 1) > np.maximum(3 * result.sigma_rho_s[m], 0.004)).any()
+            if away and place.rung == "mirror":
+                place.why += f"; rho_s = {', '.join(f'{v:.3f}' for v in rho_s)} is not 1"
+            place.rung = "coloured_mirror" if away else "mirror"
+            free[m] = np.nan if away else 1
+        if not np.isnan(free[mirrors]).all():
+            problem = replace(problem, specular=replace(problem.specular, rho_s=free, _mixtures={}))
+            result, scale = reflectance.fit(problem, start=(*(getattr(result.state, name) for name in ("rho", "E", "gamma")),
+                                                            np.where(np.isnan(free), result.state.rho_s, free)), **options)
     finally:
         site.base, site.detail = base, None
     sigma_shape = {}
