@@ -259,11 +259,19 @@ def light(site, finish, chains, tiles):
     site.note("rays by specular ways", to_patches.rays + to_tiles.rays)
     one = [replace(lamp, lamp=k) for k, lamp in enumerate(to_patches.mirrored)]
     if one:
-        factor = form_factors.direct(surface, one, tiles.p, site.normals, tiles.side, len(one), n_samples=4, start=tiles.start)
+        start, some = _spread(tiles.start, 16)
+        factor = form_factors.direct(surface, one, tiles.p[some], site.normals, tiles.side[some], len(one), n_samples=8, start=start)
         specular.add_lamps(to_tiles.D, to_patches.mirrored, to_patches.way, factor, site.n_lamps)
         site.note("mirrored lamps", len(one))
     corrected = lambda F: {k: (A @ site.subcell).tocsr() for k, A in F.items()}
     return corrected(to_patches.F), to_patches.D, corrected(to_tiles.F), to_tiles.D
+
+
+def _spread(start, most):
+    """At most so many elements of each set, evenly: the new start and the numbers of those taken."""
+    n = np.minimum(np.diff(start), most)
+    k = np.arange(int(n.sum())) - np.repeat(np.cumsum(n) - n, n)
+    return np.concatenate([[0], np.cumsum(n)]), np.repeat(start[:-1], n) + k * np.repeat(np.diff(start), n) // np.repeat(n, n)
 
 
 SHAPES = {"alpha": (1, 1, 0), "alpha_x": (1, 0, 0), "alpha_y": (0, 1, 0), "turn": (0, 0, 1)}     # of ln alpha_x, ln alpha_y and the angle of the tangent

@@ -176,16 +176,13 @@ class _Mixture:
         if not self.sparse:
             return
         every = ([base] if base is not None else []) + list(parts.values())
-        pattern = lambda A: type(A)((np.ones(len(A.data), np.float32), A.indices.copy(), A.indptr.copy()), shape=A.shape)
-        whole = pattern(every[0])
-        for A in every[1:]:
-            whole = whole + pattern(A)
-        whole.sort_indices()
-        self.shape, self.indices, self.indptr, self.kind = whole.shape, whole.indices, whole.indptr, type(whole)
-        columns = np.int64(whole.shape[1])
-        rows_of = lambda A: np.repeat(np.arange(A.shape[0], dtype=np.int64), np.diff(A.indptr))
-        keys = rows_of(whole) * columns + whole.indices
-        place = lambda A: np.searchsorted(keys, rows_of(A) * columns + A.indices)
+        self.shape, self.kind = every[0].shape, type(every[0])
+        columns = np.int64(self.shape[1])
+        keys_of = lambda A: np.repeat(np.arange(A.shape[0], dtype=np.int64), np.diff(A.indptr)) * columns + A.indices
+        keys = np.unique(np.concatenate([keys_of(A) for A in every]))
+        self.indices = (keys % columns).astype(np.int32)
+        self.indptr = np.concatenate([[0], np.cumsum(np.bincount(keys // columns, minlength=self.shape[0]))])
+        place = lambda A: np.searchsorted(keys, keys_of(A))
         self.places = {k: place(A) for k, A in parts.items()}
         self.first = np.zeros(len(keys), np.float32)
         if base is not None:
