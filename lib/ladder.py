@@ -750,7 +750,7 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
         flagged = sorted((g for g in {*here.misfits, *wanted} if g in wanted or g not in settled and here.misfits[g].excess > threshold), key=energy, reverse=True)
         trials, explained = {}, 0.0
         for g in flagged:
-            if energy(g) < 0.1 * explained and g not in wanted:        # its error may be the other one's light: it is asked again
+            if energy(g) < 0.03 * explained and g not in wanted:        # its error may be the other one's light: it is asked again
                 continue
             trials[g] = _tried(site, here, g, wanted.get(g), threshold)
             explained = max([explained] + [energy(g) for t in trials[g] if t.explained > 0.8])

@@ -175,18 +175,15 @@ class _Mixture:
         self.sparse = any(hasattr(A, "tocsr") for A in parts.values())
         if not self.sparse:
             return
-        every = ([base] if base is not None else []) + list(parts.values())
+        every = list(parts.values())
         self.shape, self.kind = every[0].shape, type(every[0])
         columns = np.int64(self.shape[1])
         keys_of = lambda A: np.repeat(np.arange(A.shape[0], dtype=np.int64), np.diff(A.indptr)) * columns + A.indices
-        keys = np.unique(np.concatenate([keys_of(A) for A in every]))
+        keys = np.sort(np.concatenate([keys_of(A) for A in every]))
+        keys = keys[np.flatnonzero(np.diff(keys, prepend=-1))]
         self.indices = (keys % columns).astype(np.int32)
         self.indptr = np.concatenate([[0], np.cumsum(np.bincount(keys // columns, minlength=self.shape[0]))])
-        place = lambda A: np.searchsorted(keys, keys_of(A))
-        self.places = {k: place(A) for k, A in parts.items()}
-        self.first = np.zeros(len(keys), np.float32)
-        if base is not None:
-            np.add.at(self.first, place(base), base.data)
+        self.places = {k: np.searchsorted(keys, keys_of(A)) for k, A in parts.items()}
 
     def at(self, power):
         if not self.sparse:
@@ -194,11 +191,12 @@ class _Mixture:
             for k, part in self.parts.items():
                 total = part * power[k] if total is None else total + part * power[k]
             return 0 if total is None else total
-        data = self.first.copy()
+        data = np.zeros(len(self.indices), np.float32)
         for k, part in self.parts.items():
             if power[k] != 0:
                 data[self.places[k]] += np.float32(power[k]) * part.data       # no entry of a part stands there twice
-        return self.kind((data, self.indices, self.indptr), shape=self.shape)
+        total = self.kind((data, self.indices, self.indptr), shape=self.shape)
+        return total if self.base is None else (self.base + total).tocsr()
 
 
 def _times(matrices, X, channel=None):
