@@ -744,6 +744,8 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
         elif kind == "textured":
             here.places[g] = Place("textured", why="given in scene.yaml", given=True)
             settled.add(g)
+    if "textured" in given.values():
+        here = _refit(site, here, options)
     wanted = {g: kind for g, kind in given.items() if kind in ("mirror", "coloured_mirror", "glossy")}
     for here.rounds in range(1, max_rounds + 1):
         energy = lambda g: here.misfits[g].excess ** 2 * here.misfits[g].pixels if g in here.misfits else np.inf
@@ -789,6 +791,11 @@ def _tried(site, here, g, wanted, threshold):
 def _taken(here, trials, threshold, wanted, settled):
     """Give the groups that a rung explains that rung; returns them. Those explained nearly wholly at once, else the best alone."""
     choice = {}
+    for g, kind in wanted.items():
+        if not trials.get(g) and "mirror" in kind:                 # no pixel can judge it, yet its light goes on
+            one = np.ones(here.problem.channels)
+            here.places[g] = Place(kind, 0 * one, one, why="given in scene.yaml; no pixel shows what it reflects", given=True)
+    blind = [g for g, kind in wanted.items() if not trials.get(g) and "mirror" in kind]
     for g, tried in trials.items():
         if not tried:
             continue
@@ -801,7 +808,7 @@ def _taken(here, trials, threshold, wanted, settled):
         if g in wanted or gain > 0.5 and (trial.rung not in ("glossy", "anisotropic") or trial.rho_s.max() > 0.002):
             choice[g] = (gain * trial.diffuse.excess ** 2 * trial.diffuse.pixels, gain, trial, tried)
     if not choice:
-        return []
+        return blind
     best = max(choice, key=lambda g: choice[g][0])
     taken = [g for g, (_, gain, _, _) in choice.items() if g == best or g in wanted or gain > 0.8]
     for g in taken:
@@ -811,7 +818,7 @@ def _taken(here, trials, threshold, wanted, settled):
         why = f"off by {trial.diffuse.excess:.4f} beyond noise as diffuse; {said}" if not old.given else f"given in scene.yaml; {said}"
         here.places[g] = Place(trial.rung, trial.rho_d, trial.rho_s, trial.alpha, trial.tangent, why,
                                old.tried + [{"rung": t.rung, "excess": t.misfit.excess, "diffuse": t.diffuse.excess} for t in tried], old.given)
-    return taken
+    return taken + blind
 
 
 def _textured(here, flagged, trials, threshold, settled):

@@ -137,7 +137,8 @@ def _of_rung(climb, g, m, textures, sigma):
     if m is None:
         return entry
     known = climb.problem.specular.rho_s[m]
-    entry |= {"kind": "glossy" if place.rung == "anisotropic" else place.rung, "rho_s": _three(state.rho_s[m])}
+    entry |= {"kind": "glossy" if place.rung == "anisotropic" else place.rung, "rho_s": _three(state.rho_s[m]),
+              "rho_d": _three(np.minimum(state.rho[g], 1 - state.rho_s[m]))}                     # no surface gives back more than it gets
     sigma = sigma | {"rho_s": _three(climb.result.sigma_rho_s[m]) if np.isnan(known).any() else [0.0, 0.0, 0.0]}
     if "mirror" in place.rung:
         sigma["rho_d"] = [0.0, 0.0, 0.0]                              # a mirror has none by what the word means

@@ -347,7 +347,7 @@ def lamp_found(surface: Surface, lamps, met: Met):
     which = np.where((met.triangle >= 0) & (met.glossy > 0), of[f], -1)
     along = -np.einsum("ij,ij->i", met.rays[:, 3:], surface.normal[f])
     which[along <= 0] = -1                                        # the back of a lamp is dark
-    density = met.t.astype(float) ** 2 / np.maximum(along * lamp_areas(lamps)[which], 1e-300)
+    density = np.where(which >= 0, met.t.astype(float), 0) ** 2 / np.maximum(along * lamp_areas(lamps)[which], 1e-300)
     share = 1 / (1 + np.where(np.isfinite(met.lobe), density / np.maximum(met.lobe, 1e-300), 0))
     return which, np.where(which >= 0, share, 0) * met.weight
 
@@ -547,3 +547,34 @@ def through_mirrors(surface: Surface, finish: Finish, chains: Chains, rays, *, d
     # the ways of this view, in the numbers of all specular groups
     table = np.array([chains.number(tuple(own.count[k][numbers.index(m)] if m in numbers else 0 for m in range(len(finish)))) for k in range(len(own))], np.int32)
     return replace(out, chain=table[out.chain])
+
+
+def warm_up():
+    """Load or compile every kernel on a box with a lamp, a mirror and a glossy wall, so that a stage's times are those of its work."""
+    from lib import mesh as meshes
+    surface = boxed()
+    lamps = form_factors.emitters(surface, ["lamp"])
+    mesh = meshes.build(surface, patches=20, max_level=0, contrast=1.0, emitters=lamps)
+    finish = Finish((1, 2), np.array([MIRROR, GLOSSY]), np.array([[0, 0], [0.2, 0.1]]), np.array([[0, 0, 0], [0, 0, 1.0]]))
+    chains = Chains(2)
+    transport(surface, mesh, finish, chains, lamps, 1, n_rays=16)
+    rays = np.array([[0, 0, 0, 0, 0, -1], [0, 0, 0, -0.6, 0, -0.8]], np.float32)
+    through_mirrors(surface, finish, chains, rays)
+    begin = from_views(surface, np.array([0, 8]), np.array([0, 1]), surface.origin[2:3] + 0.1 * surface.axes[2].sum(axis=0), np.array([2], np.int32),
+                       -surface.normal[2:3], np.zeros(1, np.int32))
+    rows(surface, mesh, finish, chains, lamps, 1, np.array([0, 8]), begin)
+
+
+def boxed():
+    """A room of 1 m with a ceiling that is a mirror (group 1), a glossy wall (2) and a lamp: for warm_up."""
+    from types import SimpleNamespace
+    from lib import mesh as meshes
+    quads = np.array([((0, 0, 0), (1, 0, 0), (0, 1, 0)), ((0, 0, 1), (0, 1, 0), (1, 0, 0)), ((0, 0, 0), (0, 1, 0), (0, 0, 1)),
+                      ((1, 0, 0), (0, 0, 1), (0, 1, 0)), ((.3, .3, .9), (0, .3, 0), (.3, 0, 0)), ((.3, .3, .5), (.3, 0, 0), (0, .3, 0))], float)
+    o, a, b = quads[:, 0], quads[:, 1], quads[:, 2]
+    normal = np.cross(a, b) / np.linalg.norm(np.cross(a, b), axis=1)[:, None]
+    model = SimpleNamespace(vertices=np.stack([o, o + a, o + a + b, o + b], axis=1).reshape(-1, 3),
+                            triangles=(4 * np.arange(6)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3),
+                            triangle_facet=np.repeat(np.arange(6), 2).astype(np.int32), facet_normal=normal, facet_group=np.array([0, 1, 2, 0, 3, 0], np.int32),
+                            facet_object=np.zeros(6, np.int32), groups=("wall", "mirror", "gloss", "lamp"), solid_objects=lambda: np.array([False]))
+    return meshes.surface(model, ["lamp"])

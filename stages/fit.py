@@ -78,7 +78,7 @@ def main(opt):
 
 def climbed(opt, report, problem, result, scale, factors, gathered):
     """The ladder: nothing but an audit where every group is diffuse."""
-    from lib import cameras, gather, image, ladder, materials, mesh as meshes, model as models
+    from lib import cameras, form_factors, gather, image, ladder, materials, mesh as meshes, model as models
     if not all((opt.audit, opt.model, opt.camera, opt.photograph, opt.facet)) or len(problem.tile_group) == 0:
         return problem, result, scale, None, None
     audit = gather.read(opt.audit)
@@ -89,6 +89,10 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
     report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": {problem.groups[g]: m.excess for g, m in misfits.items()}, "rays": {}, "rounds": 0}
     if not ladder.flagged(problem, misfits, given, opt.threshold):
         return problem, result, scale, None, None
+    with report.excluded("compile"):
+        from lib import specular
+        form_factors.warm_up()
+        specular.warm_up()
     model = models.load(opt.model)
     camera, photograph, facet = cameras.read_cameramodel(opt.camera), image.read_photograph(opt.photograph), image.read_labels(opt.facet) - 1
     for path, shape in ((opt.photograph, photograph.values.shape[:2]), (opt.facet, facet.shape)):
