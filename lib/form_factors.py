@@ -334,6 +334,7 @@ class Emitter:
     corners: np.ndarray      # (K, 3, 3) local
     normal: np.ndarray       # (K, 3) front
     cdf: np.ndarray          # (K,) cumulated share of the area
+    facets: tuple = ()       # their facets, where nothing mirrors them
     mirrors: tuple = ()      # facets of plane mirrors that show it, the one nearest to the receiver first: the rest is its mirror image
 
 
@@ -349,7 +350,7 @@ def emitters(surface: Surface, lamps) -> list[Emitter]:
         sets = [[f] for f in facets] if len(facets) <= 8 else [facets]
         for chosen in sets:
             t = np.flatnonzero(np.isin(surface.facet, chosen))
-            result.append(Emitter(lamp, surface.corners[t], surface.normal[surface.facet[t]], np.cumsum(area[t]) / area[t].sum()))
+            result.append(Emitter(lamp, surface.corners[t], surface.normal[surface.facet[t]], np.cumsum(area[t]) / area[t].sum(), tuple(int(f) for f in chosen)))
     return result
 
 

@@ -662,7 +662,7 @@ def beyond(surface: Surface, shown: Texture, start, element, m, *, seed=11):
 
     for met in specular.follow(surface, ways.finish, ways.chains, start, seed=seed, at_lobe=at_lobe):
         light = reflected_at(surface, shown, met.rays, met.triangle, met.t) * met.weight[:, None]
-        which, share = specular.lamp_found(surface, ways.lamps, replace(met, glossy=met.glossy + ways.by_rays))
+        which, share = specular.lamp_found(surface, ways.lamps, met, ways.chains, ways.complete)
         on = np.flatnonzero(which >= 0)
         light[on] += share[on, None] * ways.E[np.array([lamp.lamp for lamp in ways.lamps])[which[on]]]
         add(met, light)

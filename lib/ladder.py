@@ -103,6 +103,7 @@ class Site:
     base_tiles: Receivers        # trusted ones and those for the audit
     lobe_rays: int = 256         # of each tile that shows a lobe
     detail: object = None        # of light within patches, see lib.specular.rows; what sharp lobes show
+    lost: float = 0.0            # share of the light that mirrors threw to and fro beyond lib.specular.DEPTH
     spent: dict = field(default_factory=dict)        # rays by what they were for
 
     @property
@@ -255,8 +256,9 @@ def light(site, finish, chains, tiles):
     n = np.maximum(np.minimum(tiles.rows.shot, 1024), 64)
     ray_start, make = form_factors.from_points(surface, tiles.p, tiles.start, tiles.side[tiles.start[:-1]], n, seed=5)
     to_tiles = specular.rows(surface, mesh, finish, chains, site.lamps, site.n_lamps, ray_start, specular.from_rays(surface, mesh, make), seed=5,
-                             by_rays=to_patches.by_rays)
+                             complete=to_patches.complete)
     site.note("rays by specular ways", to_patches.rays + to_tiles.rays)
+    site.lost = max(to_patches.lost, to_tiles.lost)
     one = [replace(lamp, lamp=k) for k, lamp in enumerate(to_patches.mirrored)]
     if one:
         start, some = _spread(tiles.start, 16)
@@ -364,7 +366,7 @@ def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=
 
 @dataclass(frozen=True)
 class Misfit:
-    """How far tiles are from the photograph, in display values. excess : rms beyond noise;  tiles, pixels : how many"""
+    """How far tiles are from the photograph, in display values. excess : rms beyond noise and its chance;  tiles, pixels : how many"""
     excess: float
     rms: float
     noise: float
@@ -379,7 +381,8 @@ def misfit(problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
     w = n_pixels / max(n_pixels.sum(), 1)
     square = float((w[:, None] * residual ** 2).sum() / residual.shape[1])
     variance = float((w[:, None] * (problem.pixel_noise ** 2 / n_pixels[:, None] + np.broadcast_to(np.asarray(spread) ** 2, residual.shape))).sum() / residual.shape[1])
-    return Misfit(float(np.sqrt(max(square - variance, 0))), float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
+    chance = 1 + 3 * np.sqrt(2 / max(residual.size, 1))           # so far three standard errors of a mean square of noise reach
+    return Misfit(float(np.sqrt(max(square - chance * variance, 0))), float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
 
 
 def audit(subcell, problem, result, tiles, transport=None) -> dict:
@@ -764,7 +767,7 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
         here = _refit(site, here, options)
         if trace:
             trace(here)
-        wanted = {}
+        wanted, settled = {}, settled | set(given)
     return here
 
 
@@ -823,7 +826,7 @@ def _taken(here, trials, threshold, wanted, settled):
 
 def _textured(here, flagged, trials, threshold, settled):
     """What no rung explains is a texture, if it is clearly more than shadows' edges leave."""
-    taken = [g for g in flagged if here.misfits[g].excess > 1.5 * threshold and here.places[g].rung == "diffuse"]
+    taken = [g for g in flagged if g in here.misfits and here.misfits[g].excess > 1.5 * threshold and here.places[g].rung == "diffuse"]
     for g in taken:
         here.places[g].rung = "textured"
         here.places[g].tried = [{"rung": t.rung, "excess": t.misfit.excess, "diffuse": t.diffuse.excess} for t in trials.get(g, [])]

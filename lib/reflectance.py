@@ -427,6 +427,11 @@ def _jacobian(problem, light, layout, state, db):
     ways, channel = light.ways, layout.channel
     reaching = _times(ways.G, db, channel)                                                                   # (T, n)
     glossed = _times(ways.W, db, channel)
+    # lobes that are bent by a step: what that adds to W and V, part by part
+    bent = [(step, bend[2], bend[3]) for step, bend in zip(() if state.bend is None else state.bend, problem.specular.bend if problem.specular else ()) if step]
+    power = problem.specular.chains.power(ways.rho_s) if bent else None
+    for step, W, _ in bent:
+        glossed = glossed + sum(step * power[k][channel] * (A @ db) for k, A in W.items())
     rho_tile = ways.seen * state.rho[problem.tile_group]
     irradiance = light.tiles(state.rho, state.E, state.b)
     J = np.zeros((len(problem.tile_group), problem.channels, layout.size))
@@ -441,11 +446,15 @@ def _jacobian(problem, light, layout, state, db):
             J[:, c, k] += rho_tile[:, c] * of(ways.D_tile, c)[:, lamp]
             if ways.V is not None and not isinstance(of(ways.V, c), int):
                 J[:, c, k] += of(ways.V, c)[:, lamp]
+            J[:, c, k] += sum(step * power[n, c] * A[:, lamp] for step, _, V in bent for n, A in V.items())
         else:
             _, _, dG, dD, dW, dV, dseen = ways.slopes(layout.rho_s[k - n_E, 0], c)
             b, E = state.b[:, c], state.E[:, c]
             J[:, c, k] += rho_tile[:, c] * (_dot(dD, E) + _dot(dG, b)) + _dot(dV, E) + _dot(dW, b) \
                 + dseen * state.rho[problem.tile_group, c] * irradiance[:, c]
+            if bent:
+                slope = problem.specular.chains.slope(ways.rho_s, layout.rho_s[k - n_E, 0])[:, c]
+                J[:, c, k] += sum(step * slope[n] * (A @ x) for step, W, V in bent for parts, x in ((W, b), (V, E)) for n, A in parts.items())
     for k in range(n_s, n_bend):
         _, _, W, V, _, _ = problem.specular.bend[k - n_s]
         J[:, :, k] = light.bent(W, V, state.E, state.b)

@@ -411,7 +411,7 @@ def lighting(surface, factors, finish, rho_s, rho, E, lamp_groups, timing) -> Li
             direct = factors.lamp_factor @ E + way.D_mirrored @ E_mirrored
             whole = np.stack([Ds[c] @ E[:, c] + Fs[c] @ light.reflected[:, c] for c in range(C)], axis=1)
             indirect = whole - direct
-            ways = specular.Ways(finish, chains, rho_s, lamps, E, every, E_every, way.by_rays)
+            ways = specular.Ways(finish, chains, rho_s, lamps, E, every, E_every, way.complete)
     with timing("texture"):
         shown = illumination.texture(surface, mesh, every, E_every, indirect, exposed, rho[surface.group], ways=ways)
     return Lighting(light, every, E_every, shown, ways)

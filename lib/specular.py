@@ -133,9 +133,10 @@ def first_met(rays, triangle, t) -> Met:
     return Met(rays, triangle, t, np.arange(n), np.zeros(n, np.int32), np.ones(n), np.full(n, np.inf), np.zeros(n, np.int32))
 
 
-def follow(surface: Surface, finish: Finish, chains: Chains, start: Met, *, depth=DEPTH, seed=0, at_lobe=None):
+def follow(surface: Surface, finish: Finish, chains: Chains, start: Met, *, depth=DEPTH, seed=0, at_lobe=None, left=None):
     """Yields Met after each specular surface, until no ray goes on; rays that meet no specular facet end.
 
+    left : list that receives the sources and weights of the rays that would still go on after `depth` surfaces
     at_lobe : called with (p, facet, sign, Met of those that are at a glossy surface, number of the specular group, tangent frames, step)
     """
     of, axes = finish.facets(surface)
@@ -165,6 +166,9 @@ def follow(surface: Surface, finish: Finish, chains: Chains, start: Met, *, dept
         met = Met(rays[live], triangle, t, met.source[at[live]], chains.then(met.chain[at[live]], group[live]), met.weight[at[live]] * weight[live],
                   lobe[live], met.glossy[at[live]] + glossy[live])
         yield met
+    if left is not None:
+        on = (met.triangle >= 0) & (of[surface.facet[np.maximum(met.triangle, 0)]] >= 0)
+        left.append((met.source[on], met.weight[on]))
 
 
 @njit(cache=True, inline="always")
@@ -239,13 +243,13 @@ def _bounced(rays, t, at, facet, group, glossy, normal, inside, axes, alpha, for
 def mirrored_lamps(surface: Surface, finish: Finish, chains: Chains, lamps, *, depth=4, limit=MIRRORED_LAMPS):
     """The lamps as plane mirrors show them: Emitters that know their mirrors, and their chains (n,).
 
-    A lamp in a mirror in a mirror is there too, `depth` deep. ([], [], False) where a curved mirror of many facets would
-    make more than `limit`: its lamps are then left to the rays (True: they are complete to the depth).
+    A lamp in a mirror in a mirror is there too, `depth` deep or as deep as makes no more than `limit`: they are complete for
+    ways by so many mirrors (the third value); what comes by more is left to the rays.
     """
     of, _ = finish.facets(surface)
     mirrors = [f for f in np.flatnonzero(of >= 0) if finish.kind[of[f]] == MIRROR and not (surface.inside[2 * f] and surface.inside[2 * f + 1])]
     if not mirrors:
-        return [], np.zeros(0, int), True
+        return [], np.zeros(0, int), DEPTH
     box = {f: surface.corners[surface.facet == f].reshape(-1, 3) for f in mirrors}
     found, number = [], []
     last = [(lamp, 0) for lamp in lamps]
@@ -268,17 +272,15 @@ def mirrored_lamps(surface: Surface, finish: Finish, chains: Chains, lamps, *, d
                         continue
                     corners = lamp.corners - 2 * height[..., None] * n
                     front = lamp.normal - 2 * (lamp.normal @ n)[:, None] * n
-                    fresh.append((Emitter(lamp.lamp, corners, front, lamp.cdf, (f, *lamp.mirrors)),
+                    fresh.append((Emitter(lamp.lamp, corners, front, lamp.cdf, mirrors=(f, *lamp.mirrors)),
                                   int(chains.then(np.array([chain]), np.array([of[f]]))[0])))
                     break                                    # the other side of a plane shows the same image: the rays know which
         if len(found) + len(fresh) > limit:
-            if level == 0:
-                return [], np.zeros(0, int), False
-            break
+            return found, np.array(number, int), level
         found += [lamp for lamp, _ in fresh]
         number += [chain for _, chain in fresh]
         last = fresh
-    return found, np.array(number, int), True
+    return found, np.array(number, int), depth
 
 
 def lamp_areas(lamps):
@@ -337,26 +339,22 @@ def _to_lamp(p, facet, sign, view, source, group, normal, axes, alpha, form, cor
     return rays, value
 
 
-def lamp_found(surface: Surface, lamps, met: Met):
-    """Which emitter the ends of lobes' rays lie on (n,), -1: none, and the share (n,) that the balance heuristic gives them.
-    Rays that reached a lamp by mirrors alone are not counted: mirrored lamps are."""
+def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete):
+    """Which emitter the ends of rays lie on (n,), -1: none, and the share (n,) that the balance heuristic gives them.
+    Rays that reached a lamp by no more than `complete` mirrors alone are not counted: mirrored lamps are."""
+    if not lamps:
+        return np.full(len(met), -1), np.zeros(len(met))
     of = np.full(len(surface.normal), -1, np.int32)
     for k, lamp in enumerate(lamps):
-        of[lamp_facets(surface, lamp)] = k
+        of[list(lamp.facets)] = k
     f = np.where(met.triangle >= 0, surface.facet[met.triangle], 0)
-    which = np.where((met.triangle >= 0) & (met.glossy > 0), of[f], -1)
+    counted = (met.glossy > 0) | (chains.counts.sum(axis=1)[met.chain] > complete)
+    which = np.where((met.triangle >= 0) & counted, of[f], -1)
     along = -np.einsum("ij,ij->i", met.rays[:, 3:], surface.normal[f])
     which[along <= 0] = -1                                        # the back of a lamp is dark
     density = np.where(which >= 0, met.t.astype(float), 0) ** 2 / np.maximum(along * lamp_areas(lamps)[which], 1e-300)
     share = 1 / (1 + np.where(np.isfinite(met.lobe), density / np.maximum(met.lobe, 1e-300), 0))
     return which, np.where(which >= 0, share, 0) * met.weight
-
-
-def lamp_facets(surface, lamp: Emitter):
-    """Numbers of the facets of an emitter that is not mirrored."""
-    middle = lamp.corners.mean(axis=1)
-    candidates = np.unique(surface.facet[np.isin(surface.corners.mean(axis=1).round(12), middle.round(12)).all(axis=1)])
-    return candidates
 
 
 # -- extended rows of form factors
@@ -367,14 +365,14 @@ class Rows:
     F: dict = field(default_factory=dict)        # chain -> csr float32
     D: dict = field(default_factory=dict)        # chain -> (R, L)
     rays: int = 0
-    lost: float = 0.0                            # share of the rays that were still on their way when the count ran out
+    lost: float = 0.0                            # share of the elements' light that was still on its way when the count ran out
 
 
-def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, ray_start, begin, *, seed=0, by_rays=False, detail=None, progress=None) -> Rows:
+def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, ray_start, begin, *, seed=0, complete=DEPTH, detail=None, progress=None) -> Rows:
     """The specular part of the rows of elements.
 
     ray_start : (R + 1,) rays of each element;  begin(first, last) -> Met of the rays of the elements first..last-1, and which of them count
-    lamps : not mirrored ones;  by_rays : count lamps that mirrors alone lead to, too (there are no mirrored lamps)
+    lamps : not mirrored ones;  complete : by how many mirrors lamps are mirrored (rays find those that are further)
     detail : (rays, triangle, t, patch) -> what the light there is of its patch's, (n,); None: patches are of one light
     """
     from scipy.sparse import csr_array
@@ -399,15 +397,17 @@ def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_
             for j, lamp in enumerate(lamps):
                 keep(light, met.chain, element[met.source], np.full(len(met), lamp.lamp), each[:, j])
 
-        for met in follow(surface, finish, chains, start, seed=seed, at_lobe=at_lobe):
+        left = []
+        for met in follow(surface, finish, chains, start, seed=seed, at_lobe=at_lobe, left=left):
             value = met.weight * share[met.source]
             hit = _located(surface, mesh, met.rays, met.triangle, met.t)
             good = np.flatnonzero(hit >= 0)
             finer = 1 if detail is None else detail(met.rays[good], met.triangle[good], met.t[good], hit[good])
             keep(factors, met.chain[good], element[met.source[good]], hit[good], value[good] * finer)
-            which, weight = lamp_found(surface, lamps, replace(met, glossy=met.glossy + by_rays))
+            which, weight = lamp_found(surface, lamps, met, chains, complete)
             on = np.flatnonzero(which >= 0)
             keep(light, met.chain[on], element[met.source[on]], np.array([lamps[k].lamp for k in which[on]], int), weight[on] * share[met.source[on]])
+        result.lost += sum(float((weight * share[source]).sum()) for source, weight in left) / R
         if progress is not None:
             progress(last / R)
         first = last
@@ -459,25 +459,26 @@ def _located(surface, mesh, rays, triangle, t):
 @dataclass(frozen=True)
 class Transport:
     """The specular ways of a scene's light. F, D : to the patches, by chain, as Rows;  mirrored : Emitters, with their chains `way` (n,)
-    D_mirrored : (N, n) factors of the patches to them, already part of D;  by_rays : lamps in mirrors are found by rays alone"""
+    D_mirrored : (N, n) factors of the patches to them, already part of D;  complete : see mirrored_lamps;  lost : see Rows"""
     F: dict
     D: dict
     mirrored: list
     way: np.ndarray
     D_mirrored: np.ndarray
-    by_rays: bool
+    complete: int
     rays: int
+    lost: float
 
 
 def transport(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, *, n_rays=512) -> Transport:
     """From the lamps and the patches to the patches by way of mirrors and glossy surfaces."""
     mirrored, way, complete = mirrored_lamps(surface, finish, chains, lamps)
     ray_start, make = form_factors.from_patches(surface, mesh, n_rays)
-    result = rows(surface, mesh, finish, chains, lamps, n_lamps, ray_start, from_rays(surface, mesh, make), seed=3, by_rays=not complete)
+    result = rows(surface, mesh, finish, chains, lamps, n_lamps, ray_start, from_rays(surface, mesh, make), seed=3, complete=complete)
     one = [replace(lamp, lamp=k) for k, lamp in enumerate(mirrored)]
     factor = form_factors.patch_direct(surface, mesh, one, len(one), n_points=32) if one else np.zeros((len(mesh), 0))
     add_lamps(result.D, mirrored, way, factor, n_lamps)
-    return Transport(result.F, result.D, mirrored, way, factor, not complete, result.rays)
+    return Transport(result.F, result.D, mirrored, way, factor, complete, result.rays, result.lost)
 
 
 def add_lamps(D, mirrored, way, factor, n_lamps):
@@ -489,7 +490,7 @@ def add_lamps(D, mirrored, way, factor, n_lamps):
 @dataclass(frozen=True)
 class Ways:
     """What rays need to go on in a picture. rho_s : (M, C);  lamps : plain ones;  E : (L, C);  every, E_every : mirrored ones, too
-    by_rays : see Transport"""
+    complete : see Transport"""
     finish: Finish
     chains: Chains
     rho_s: np.ndarray
@@ -497,7 +498,7 @@ class Ways:
     E: np.ndarray
     every: list
     E_every: np.ndarray
-    by_rays: bool
+    complete: int
 
 
 # -- what a mirror shows: the virtual index buffer (section 4.5)

@@ -104,9 +104,13 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
     climb = ladder.climb(site, result, scale, given=given, threshold=opt.threshold,
                          trace=lambda c: report.trace(round=c.rounds, image_rmse=c.result.rmse, gamma=c.result.state.gamma),
                          options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})
+    if site.lost > 0.01:
+        report.warning(f"{site.lost:.0%} of the light is still between mirrors after {specular.DEPTH} of them: rooms of mirrors are too dark")
     written = {}
     for g, maps in ladder.albedo_maps(site, climb).items():
         from lib import textures
+        if not maps:                                               # a group said to be textured that no pixel shows
+            continue
         folder = Path(opt.materials).parent / "textures"
         folder.mkdir(exist_ok=True)
         area = meshes.facet_areas(site.surface)[list(maps)]

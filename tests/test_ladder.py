@@ -107,7 +107,6 @@ def test_noise_makes_no_wall_glossy(room, seed):
     agree(found)
 
 
-@pytest.mark.xfail(strict=True, reason="ladder.misfit: the excess over noise is compared with the threshold, not with its own standard error (about 0.01 here): a false texture")
 def test_ten_percent_noise_makes_no_wall_a_texture(room):
     found, _ = room.found({"picture": .3}, photo=dict(noise=0.1, seed=1))
     assert kinds(found) == {}
