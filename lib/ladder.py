@@ -385,7 +385,7 @@ def misfit(problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
     return Misfit(float(np.sqrt(max(square - chance * variance, 0))), float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
 
 
-def audit(subcell, problem, result, tiles, transport=None) -> dict:
+def audit(subcell, problem, result, tiles, transport=None, textured=()) -> dict:
     """{group: Misfit} of every group with enough tiles, all pixels taken together. Specular groups are judged by the tiles of their fit."""
     state, gamma = result.state, result.state.gamma
     found = {}
@@ -419,7 +419,7 @@ def audit(subcell, problem, result, tiles, transport=None) -> dict:
         t = tiles.take(np.flatnonzero(tiles.fit))
         target = reflectance._observe(problem, gamma)[0]
         for m, g in enumerate(spec.groups):
-            through = (spec.chains.counts[t.chain][:, m] > 0) & (t.lobe < 0)
+            through = (spec.chains.counts[t.chain][:, m] > 0) & (t.lobe < 0) & ~np.isin(t.group, textured)
             mine = np.flatnonzero((t.lobe == m) & (t.chain == 0) if (t.lobe == m).any() else through)
             if len(mine):
                 found[int(g)] = misfit(problem, gamma, state.B[mine], target[mine], t.n_pixels[mine])
@@ -455,7 +455,7 @@ def _scaled(metric, B, seen, weight, rounds=8):
     return s
 
 
-def as_mirror(site, problem, state, finish, rho_s, g, plain):
+def as_mirror(site, problem, state, finish, rho_s, g, plain, textured=()):
     """Trials of group g as a perfect and as a coloured mirror, or [] where its picture cannot be judged: what the virtual
     viewpoint shows, under the light found so far. Groups that only this mirror shows are free: one factor each."""
     from lib import specular
@@ -467,6 +467,8 @@ def as_mirror(site, problem, state, finish, rho_s, g, plain):
     view, pure = shown(site, wider, chains, pixel)
     lamp = np.isin(site.surface.group, [site.surface.groups.index(name) for name in site.factors.lamps])
     good = np.flatnonzero(pure & ~lamp[view.facet])
+    sure = good[~np.isin(site.surface.group[view.facet[good]], textured)]         # a texture's pattern would count as the mirror's error
+    good = sure if len(sure) >= 200 else good
     if len(good) < 40:
         return []
     t = receivers(site, pixel[good], view.facet[good], view.side[good], view.p[good], view.direction[good], view.chain[good], np.full(len(good), -1, np.int32),
@@ -477,7 +479,14 @@ def as_mirror(site, problem, state, finish, rho_s, g, plain):
     seen = Pixels(t.values, t.start).linear(metric.transfer)[0]
     C = problem.channels
     irradiance = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b
-    power = chains.power(np.vstack([rho_s, np.ones((1, C))]))[t.chain]
+    mirrored, way, _ = specular.mirrored_lamps(site.surface, wider, chains, site.lamps, depth=2)
+    power = chains.power(np.vstack([rho_s, np.ones((1, C))]))
+    if mirrored:                                                   # what the mirror would light itself it also shows
+        one = [replace(lamp, lamp=k) for k, lamp in enumerate(mirrored)]
+        start, some = _spread(t.start, 16)
+        factor = form_factors.direct(site.surface, one, t.p[some], site.normals, t.side[some], len(one), n_samples=4, start=start)
+        irradiance = irradiance + factor @ np.array([state.E[lamp.lamp] * power[k] for lamp, k in zip(mirrored, way)])
+    power = power[t.chain]
     weight = t.n_pixels[:, None] * np.ones(C)
     rho = state.rho.copy()
     rho[g] = 0                                                     # seen in another mirror in this one: as that one would be
@@ -721,10 +730,16 @@ class Climb:
     sigma_shape: dict = field(default_factory=dict)
 
 
+def tolerance(misfit, threshold):
+    """The error that a group may keep: the threshold of a small group, which shadows in corners may cover, and down to less than half of
+    it for a group of many pixels, where they do not."""
+    return threshold * float(np.clip(np.sqrt(2500 / max(misfit.pixels, 1)), 0.45, 1))
+
+
 def flagged(problem, misfits, given, threshold) -> list:
     """The groups that a diffuse surface does not explain, and those that are said to be no diffuse ones."""
     known = {g for g in range(len(problem.groups)) if not np.isnan(problem.rho[g]).any()}
-    return sorted({g for g, m in misfits.items() if g not in known and m.excess > threshold and given.get(g) != "diffuse"}
+    return sorted({g for g, m in misfits.items() if g not in known and m.excess > tolerance(m, threshold) and given.get(g) != "diffuse"}
                   | {g for g, kind in given.items() if kind != "diffuse"})
 
 
@@ -752,16 +767,21 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
     wanted = {g: kind for g, kind in given.items() if kind in ("mirror", "coloured_mirror", "glossy")}
     for here.rounds in range(1, max_rounds + 1):
         energy = lambda g: here.misfits[g].excess ** 2 * here.misfits[g].pixels if g in here.misfits else np.inf
-        flagged = sorted((g for g in {*here.misfits, *wanted} if g in wanted or g not in settled and here.misfits[g].excess > threshold), key=energy, reverse=True)
+        flagged = sorted((g for g in {*here.misfits, *wanted} if g in wanted or g not in settled and here.misfits[g].excess > tolerance(here.misfits[g], threshold)), key=energy, reverse=True)
         trials, explained = {}, 0.0
         for g in flagged:
             if energy(g) < 0.03 * explained and g not in wanted:        # its error may be the other one's light: it is asked again
                 continue
             trials[g] = _tried(site, here, g, wanted.get(g), threshold)
             explained = max([explained] + [energy(g) for t in trials[g] if t.explained > 0.8])
-        taken = _taken(here, trials, threshold, wanted, settled)
+        # the greatest error first: what no rung explains may be what a mirror shows, or throw gamma off
+        greatest = max((g for g in trials if g not in wanted and not any(t.explained > 0.5 for t in trials[g])), key=energy, default=None)
+        others = max((energy(g) * t.explained for g in trials for t in trials[g]), default=0.0)
+        taken = [] if greatest is not None and energy(greatest) > 4 * others else _taken(here, trials, threshold, wanted, settled)
+        if not taken and greatest is not None:
+            taken = _textured(here, [greatest], trials, threshold, settled)
         if not taken:
-            taken = _textured(here, flagged, trials, threshold, settled)
+            taken = _taken(here, trials, threshold, wanted, settled)
         if not taken:
             break
         here = _refit(site, here, options)
@@ -782,7 +802,8 @@ def _tried(site, here, g, wanted, threshold):
     own = RUNGS.index(here.places[g].rung)
     trials = []
     if wanted in (None, "mirror", "coloured_mirror") and own < RUNGS.index("coloured_mirror"):
-        trials += as_mirror(site, here.problem, state, finish, rho_s, g, _plain(site, here, g))
+        trials += as_mirror(site, here.problem, state, finish, rho_s, g, _plain(site, here, g),
+                            [h for h, p in here.places.items() if p.rung == "textured"])
         if wanted:
             return [t for t in trials if t.rung == wanted]
         if any(t.misfit.excess <= threshold or t.explained > 0.7 for t in trials):      # if the rest is more than the light's, it climbs on
@@ -825,7 +846,7 @@ def _taken(here, trials, threshold, wanted, settled):
 
 
 def _textured(here, flagged, trials, threshold, settled):
-    """What no rung explains is a texture, if it is clearly more than shadows' edges leave."""
+    """What no rung explains is a texture, if it is clearly more than shadows' edges leave. One at a time: the others may be well after it."""
     taken = [g for g in flagged if g in here.misfits and here.misfits[g].excess > 1.5 * threshold and here.places[g].rung == "diffuse"]
     for g in taken:
         here.places[g].rung = "textured"
@@ -925,7 +946,7 @@ def _refit(site, here, options) -> Climb:
     for m, g in enumerate(finish.groups):
         places[g] = replace(places[g], rho_d=None, rho_s=None, alpha=finish.alpha[m], tangent=finish.tangent[m])
     new = replace(here, problem=problem, result=result, scale=scale, finish=finish, tiles=tiles, sigma_shape=sigma_shape)
-    new.misfits = audit(site.subcell, problem, result, tiles, transport)
+    new.misfits = audit(site.subcell, problem, result, tiles, transport, textured)
     return new
 
 
