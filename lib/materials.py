@@ -169,6 +169,7 @@ def warnings(problem, result, found, gathered):
     if problem.fit_gamma and not 0.21 < state.gamma < 7.9:
         lines.append(f"gamma = {state.gamma:.2f} lies on its bound: the lamps' power or the transfer function is not as given")
     seen = np.isin(np.arange(len(problem.groups)), problem.tile_group) & np.isnan(problem.rho).any(axis=1)
+    seen[list(problem.specular.groups) if problem.specular is not None else []] = False      # a lobe over black is nothing strange
     for g in np.flatnonzero(seen & ((state.rho > 0.9995) | (state.rho < 1e-6)).any(axis=1)):
         lines.append(f"group {problem.groups[g]!r}: a reflectance lies on its bound ({', '.join(f'{v:.4g}' for v in state.rho[g])}): a lamp may be weaker or stronger than given")
     if found["status"] == "not converged":
