@@ -98,7 +98,7 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
     ("transfer: {gamma: 2, x: 1}", "transfer.x: 1 is an unknown key; known is gamma"),
     ("transfer: curve", 'transfer: "curve" is not built yet'),
     ("surfaces: {wall: shiny}", 'surfaces.wall: "shiny" is none of diffuse, mirror, coloured_mirror, glossy, textured'),
-    ("surfaces: {wall: mirror}", 'surfaces.wall: "mirror" is not built yet; built is diffuse'),
+    ("surfaces: {wall: velvet}", 'surfaces.wall: "velvet" is none of diffuse, mirror, coloured_mirror, glossy, textured'),
     ("goals: materials.json", 'goals: "materials.json" is not a list'),
     ("goals: [../other/left.png]", 'goals: "../other/left.png" lies outside the scene\'s folder'),
     ("goals: [/etc/passwd]", 'goals: "/etc/passwd" lies outside the scene\'s folder'),
@@ -214,7 +214,8 @@ def test_what_is_left_out_and_why(folder):
   without match: no goal needs it
   without reconstruct: no goal needs it
   without recognise: its output is given (left.posed.cameramodel)
-  without radiosity: no goal needs it"""
+  without radiosity: no goal needs it
+  without mirror buffers, lobes and textures: fit and render make them only where a group's error, or `surfaces`, demands it; never for groups named diffuse"""
 
 
 SEE = ["segment", "match", "reconstruct", "recognise"]
@@ -256,7 +257,7 @@ def test_a_pair_with_boards_runs_the_whole_chain(pair, monkeypatch):
     text = "board: {corners: [9, 6], square_m: 0.03}\nlamps: {lamp: [1, 1, 1]}\ngoals: [materials.json]\n"
     assert chain(pair, text) == ["calibrate", *BENT, *SEE, *FIT]
     assert options(pair, "recognise")["camera-right"] == "right.pinhole.cameramodel" and options(pair, "index")["camera"] == "left.posed.cameramodel"
-    assert options(pair, "segment")["photograph-right"] == "right.pinhole.png" and options(pair, "fit").get("photograph") is None
+    assert options(pair, "segment")["photograph-right"] == "right.pinhole.png" and options(pair, "fit")["photograph"] == "left.pinhole.png"
     assert chain(pair, text + "lens: LENSMODEL_PINHOLE") == ["calibrate", *SEE, *FIT]
     assert options(pair, "match")["camera"] == "left.cameramodel" and options(pair, "index")["photograph"] == "left.png"
     assert refusal(pair, "lamps: {lamp: [1, 1, 1]}\ngoals: [materials.json]") == ["scene.yaml: board: missing, and calibrate needs to know the corners and squares of boards/"]
