@@ -15,6 +15,7 @@ less than an information criterion asks for is not taken at all: noise never mak
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -135,6 +136,20 @@ def site(surface, factors, camera, photograph, facet, problem, gathered, audit, 
         parts.append(Receivers(t.facet, g.group, g.object, np.zeros(len(t), np.int32), t.start, t.pixel, g.pixels, p, side, direction, t.direct, t.rows,
                                np.full(len(t), -1, np.int32), np.full(len(t), fit)))
     return Site(surface, factors, camera, photograph, facet, problem, Receivers.joined(parts), **options)
+
+
+def read_site(files, formfactors, factors, problem, gathered, audit, **options) -> Site:
+    """`site` from files = {model, camera, photograph, facet: path}; BadInput where one does not fit the others. formfactors : its path"""
+    from lib import cameras, image, mesh, model as models
+    from lib.stage import BadInput
+    model, camera = models.load(files["model"]), cameras.read_cameramodel(files["camera"])
+    photograph, facet = image.read_photograph(files["photograph"]), image.read_labels(files["facet"]) - 1
+    for name, shape in (("photograph", photograph.values.shape[:2]), ("facet", facet.shape)):
+        if shape != (camera.height, camera.width):
+            raise BadInput(f"{files[name]}: size: {shape[1]} x {shape[0]} is not the camera's {camera.width} x {camera.height} ({files['camera']})")
+    if tuple(model.groups) != tuple(factors.groups) or facet.max(initial=-1) >= model.n_facets:
+        raise BadInput(f"{files['model']}: groups, facets: not those of {formfactors} or {files['facet']}")
+    return site(mesh.surface(model, factors.lamps), factors, camera, photograph, facet, problem, gathered, audit, **options)
 
 
 def unplaced(gathered, fit=False) -> Receivers:
@@ -698,6 +713,20 @@ def albedo_maps(site, climb) -> dict:
             climb.misfits[g] = misfit(climb.problem, state.gamma, B, linear[y, x], np.ones(len(mine)))
     site.note("textured pixels", len(seen))
     return found
+
+
+def write_textures(site, climb, folder) -> dict:
+    """{group: lib.materials.Textured} of the textured groups that a pixel shows, their maps written to folder/textures."""
+    from lib import materials, mesh, textures
+    written = {}
+    for g, maps in albedo_maps(site, climb).items():
+        if not maps:                                               # said to be textured, and no pixel shows it
+            continue
+        (folder / "textures").mkdir(exist_ok=True)
+        area = mesh.facet_areas(site.surface)[list(maps)]
+        names = {str(f): f"textures/{Path(textures.write(folder / 'textures', texture)).name}" for f, texture in maps.items()}
+        written[g] = materials.Textured(names, sum(a * textures.mean(texture) for a, texture in zip(area, maps.values())) / area.sum())
+    return written
 
 
 # -- the climb

@@ -77,48 +77,34 @@ def main(opt):
 
 
 def climbed(opt, report, problem, result, scale, factors, gathered):
-    """The ladder: nothing but an audit where every group is diffuse."""
-    from lib import cameras, form_factors, gather, image, ladder, materials, mesh as meshes, model as models
-    if not all((opt.audit, opt.model, opt.camera, opt.photograph, opt.facet)) or len(problem.tile_group) == 0:
+    """The ladder: nothing but an audit where every group is diffuse. -> problem, result, scale, ladder.Climb, textures"""
+    from lib import form_factors, gather, ladder
+    files = {name: getattr(opt, name) for name in ("audit", "model", "camera", "photograph", "facet")}
+    if not all(files.values()) or len(problem.tile_group) == 0:
         return problem, result, scale, None, None
     audit = gather.read(opt.audit)
     if len(audit.visible) != len(problem.groups) or audit.tiles.rows.columns != len(problem.area):
         raise stage.BadInput(f"{opt.audit}: groups, patches: {len(audit.visible)}, {audit.tiles.rows.columns} are not those of {opt.formfactors}")
     given = {problem.groups.index(name): kind for name, kind in opt.surfaces.items()}
     misfits = ladder.audit(factors.subcell(), problem, result, ladder.unplaced(audit))
-    report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": {problem.groups[g]: m.excess for g, m in misfits.items()}, "rays": {}, "rounds": 0}
+    named = lambda found: {problem.groups[g]: value for g, value in found.items()}
+    report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": named({g: m.excess for g, m in misfits.items()}), "rays": {}, "rounds": 0}
     if not ladder.flagged(problem, misfits, given, opt.threshold):
         return problem, result, scale, None, None
     with report.excluded("compile"):
         from lib import specular
         form_factors.warm_up()
         specular.warm_up()
-    model = models.load(opt.model)
-    camera, photograph, facet = cameras.read_cameramodel(opt.camera), image.read_photograph(opt.photograph), image.read_labels(opt.facet) - 1
-    for path, shape in ((opt.photograph, photograph.values.shape[:2]), (opt.facet, facet.shape)):
-        if shape != (camera.height, camera.width):
-            raise stage.BadInput(f"{path}: size: {shape[1]} x {shape[0]} is not the camera's {camera.width} x {camera.height} ({opt.camera})")
-    if tuple(model.groups) != tuple(factors.groups) or facet.max() >= model.n_facets:
-        raise stage.BadInput(f"{opt.model}: groups, facets: not those of {opt.formfactors} or {opt.facet}")
-    site = ladder.site(meshes.surface(model, factors.lamps), factors, camera, photograph, facet, problem, gathered, audit, lobe_rays=opt.lobe_rays)
+    site = ladder.read_site(files, opt.formfactors, factors, problem, gathered, audit, lobe_rays=opt.lobe_rays)
     climb = ladder.climb(site, result, scale, given=given, threshold=opt.threshold,
                          trace=lambda c: report.trace(round=c.rounds, image_rmse=c.result.rmse, gamma=c.result.state.gamma),
                          options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})
     if site.lost > 0.01:
         report.warning(f"{site.lost:.0%} of the light is still between mirrors after {specular.DEPTH} of them: rooms of mirrors are too dark")
-    written = {}
-    for g, maps in ladder.albedo_maps(site, climb).items():
-        from lib import textures
-        if not maps:                                               # a group said to be textured that no pixel shows
-            continue
-        folder = Path(opt.materials).parent / "textures"
-        folder.mkdir(exist_ok=True)
-        area = meshes.facet_areas(site.surface)[list(maps)]
-        written[g] = materials.Textured({str(f): f"textures/{Path(textures.write(folder, texture)).name}" for f, texture in maps.items()},
-                                        sum(a * textures.mean(texture) for a, texture in zip(area, maps.values())) / area.sum())
-    summary |= {"rays": site.spent, "rounds": climb.rounds, "end": {problem.groups[g]: m.excess for g, m in climb.misfits.items()},
-                "rungs": {problem.groups[g]: p.rung for g, p in climb.places.items() if p.rung != "diffuse"}}
-    return climb.problem, climb.result, climb.scale, climb, written
+    textures = ladder.write_textures(site, climb, Path(opt.materials).parent)
+    summary |= {"rays": site.spent, "rounds": climb.rounds, "end": named({g: m.excess for g, m in climb.misfits.items()}),
+                "rungs": named({g: p.rung for g, p in climb.places.items() if p.rung != "diffuse"})}
+    return climb.problem, climb.result, climb.scale, climb, textures
 
 
 if __name__ == "__main__":
