@@ -264,14 +264,15 @@ def lobes(site, finish, chains, tiles, *, rays=None, seed=7):
 
 
 def light(site, finish, chains, tiles):
-    """The specular ways of the light to the patches and to the tiles: F, D, G, D_tile by chain, as reflectance.Specular has them."""
+    """The specular ways of the light to the patches and to the tiles: F, D, G, D_tile by chain, as reflectance.Specular has them,
+    and of the last two what their rays leave open."""
     from lib import specular
     surface, mesh = site.surface, site.mesh
     to_patches = specular.transport(surface, mesh, finish, chains, site.lamps, site.n_lamps, n_rays=max(int(site.factors.rows.shot.max(initial=1)), 512))
     n = np.maximum(np.minimum(tiles.rows.shot, 1024), 64)
     ray_start, make = form_factors.from_points(surface, tiles.p, tiles.start, tiles.side[tiles.start[:-1]], n, seed=5)
     to_tiles = specular.rows(surface, mesh, finish, chains, site.lamps, site.n_lamps, ray_start, specular.from_rays(surface, mesh, make), seed=5,
-                             complete=to_patches.complete)
+                             complete=to_patches.complete, spread=True)
     site.note("rays by specular ways", to_patches.rays + to_tiles.rays)
     site.lost = max(to_patches.lost, to_tiles.lost)
     one = [replace(lamp, lamp=k) for k, lamp in enumerate(to_patches.mirrored)]
@@ -281,7 +282,7 @@ def light(site, finish, chains, tiles):
         specular.add_lamps(to_tiles.D, to_patches.mirrored, to_patches.way, factor, site.n_lamps)
         site.note("mirrored lamps", len(one))
     corrected = lambda F: {k: (A @ site.subcell).tocsr() for k, A in F.items()}
-    return corrected(to_patches.F), to_patches.D, corrected(to_tiles.F), to_tiles.D
+    return corrected(to_patches.F), to_patches.D, corrected(to_tiles.F), to_tiles.D, corrected(to_tiles.F_spread), to_tiles.D_spread
 
 
 def _spread(start, most):
@@ -292,6 +293,9 @@ def _spread(start, most):
 
 
 SHAPES = {"alpha": (1, 1, 0), "alpha_x": (1, 0, 0), "alpha_y": (0, 1, 0), "turn": (0, 0, 1)}     # of ln alpha_x, ln alpha_y and the angle of the tangent
+# Half the difference over which a shape's derivative is taken. The noise of few rays falls as fast as this grows: on 30 tiles of 256
+# rays 0.03 made of a true derivative of 0.0014 (beyond rho_d and rho_s) one of 0.0084, 36 times too much that alpha seemed to be known by
+STEP = {"alpha": 0.2, "alpha_x": 0.2, "alpha_y": 0.2, "turn": 0.1}
 
 
 def bent(finish, m, name, step, normal):
@@ -306,16 +310,17 @@ def bent(finish, m, name, step, normal):
     return replace(finish, alpha=alpha, tangent=tangent)
 
 
-def bends(site, finish, chains, tiles, shapes, *, step=0.03, rays=None):
-    """Derivatives of the lobes with respect to shapes [(m, name)], by central differences over the same random numbers."""
+def bends(site, finish, chains, tiles, shapes, *, rays=None):
+    """Derivatives of the lobes with respect to shapes [(m, name)], by central differences over the same random numbers; not those
+    of the lobes themselves, or their noise would be taken for a shape's."""
     result = []
     for m, name in shapes:
         some = np.flatnonzero(tiles.lobe == m)
         if not len(some):
             continue
         normal = main_normal(site.surface, finish.groups[m])
-        mine = replace(tiles, lobe=np.where(tiles.lobe == m, m, -1))
-        there, back = (lobes(site, bent(finish, m, name, sign * step, normal), chains, mine, rays=rays) for sign in (1, -1))
+        mine, step = replace(tiles, lobe=np.where(tiles.lobe == m, m, -1)), STEP[name]
+        there, back = (lobes(site, bent(finish, m, name, sign * step, normal), chains, mine, rays=rays, seed=9) for sign in (1, -1))
         half = 0.5 / step
         result.append((m, name, _combined(there.F, back.F, half, -half), _combined(there.D, back.D, half, -half), -0.35, 0.35))
     return result
@@ -357,7 +362,7 @@ def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=
     t = tiles.take(some)
     spec = None
     if finish is not None:
-        F, D, G, D_tile = transport
+        F, D, G, D_tile, G_spread, D_spread = transport
         rows, doubts, halves = lobes(site, finish, chains, t, rays=rays), [], ()
         if final and rows.F:
             again = lobes(site, finish, chains, t, seed=8)
@@ -371,7 +376,7 @@ def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=
             halves = (rows.F, rows.D), (again.F, again.D)
             rows = specular.Rows(_combined(rows.F, again.F, 0.5, 0.5), _combined(rows.D, again.D, 0.5, 0.5), rows.rays)
         spec = Specular(finish.groups, chains, F, D, {k: A[some] for k, A in G.items()}, {k: A[some] for k, A in D_tile.items()}, t.chain, rows.F, rows.D,
-                        rho_s, bends(site, finish, chains, t, shapes, rays=rays), doubts, halves)
+                        rho_s, bends(site, finish, chains, t, shapes, rays=rays), doubts, halves, tuple({k: A[some] for k, A in x.items()} for x in (G_spread, D_spread)))
     seen = lambda half=None: (t.rows.matrix(half) @ site.subcell).tocsr()
     return replace(base, G=seen(), G_plain=t.rows.matrix(), D_tile=t.direct, tile_group=t.group, tile_object=t.object, start=t.start, pixels=t.values,
                    halves=(seen(0), seen(1), *base.halves[2:]) if base.halves else (), specular=spec, variance=None if variance is None else variance[t.group][:, None])
@@ -400,8 +405,11 @@ def misfit(problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
     return Misfit(float(np.sqrt(max(square - chance * variance, 0))), float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
 
 
-def audit(subcell, problem, result, tiles, transport=None, textured=()) -> dict:
-    """{group: Misfit} of every group with enough tiles, all pixels taken together. Specular groups are judged by the tiles of their fit."""
+def audit(subcell, problem, result, tiles, transport=None, textured=(), patterns=False) -> dict:
+    """{group: Misfit} of every group with enough tiles, all pixels taken together. Specular groups are judged by the tiles of their fit.
+
+    patterns : instead, of the `textured` groups alone, all their pixels as if they had one reflectance
+    """
     state, gamma = result.state, result.state.gamma
     found = {}
     spec = problem.specular
@@ -413,24 +421,23 @@ def audit(subcell, problem, result, tiles, transport=None, textured=()) -> dict:
     irradiance = tiles.direct @ state.E + G @ state.b
     power = np.ones((len(tiles), 1))
     if spec is not None:
-        _, _, G_k, D_k = transport
+        _, _, G_k, D_k, G_spread, D_spread = transport
         weight = spec.chains.power(state.rho_s)
-        for k, A in G_k.items():
-            irradiance = irradiance + weight[k] * (A @ state.b)
-        for k, A in D_k.items():
-            irradiance = irradiance + weight[k] * (A @ state.E)
+        by_ways = lambda G, D: sum((weight[k] * (A @ X) for parts, X in ((G, state.b), (D, state.E)) for k, A in parts.items()), np.zeros_like(irradiance))
+        irradiance = irradiance + by_ways(G_k, D_k)
+        half = np.hypot(half, by_ways(G_spread, D_spread))
         power = weight[tiles.chain]
     B = power * state.rho[tiles.group] * irradiance
     spread = metric.slope(B) * np.abs(power * state.rho[tiles.group] * half)
-    for g in np.unique(tiles.group):
+    for g in textured if patterns else np.unique(tiles.group):
         if spec is not None and g in spec.groups:
             continue
-        mine = np.flatnonzero((tiles.group == g) & ~tiles.fit & (tiles.chain == 0))
+        mine = np.flatnonzero((tiles.group == g) & (tiles.fit == patterns) & (tiles.chain == 0))
         if len(mine) < ENOUGH:                                     # only mirrors show it
             mine = np.flatnonzero((tiles.group == g) & (tiles.chain > 0))
         if len(mine) >= ENOUGH:
             found[int(g)] = misfit(problem, gamma, B[mine], seen[mine], tiles.n_pixels[mine], spread[mine])
-    if spec is not None:
+    if spec is not None and not patterns:
         t = tiles.take(np.flatnonzero(tiles.fit))
         target = reflectance._observe(problem, gamma)[0]
         for m, g in enumerate(spec.groups):
@@ -746,7 +753,8 @@ class Place:
 
 @dataclass
 class Climb:
-    """The end of a climb. places : {group: Place};  misfits : {group: Misfit};  sigma_shape : {group: {shape: sigma}}"""
+    """The end of a climb. places : {group: Place};  misfits : {group: Misfit};  sigma_shape : {group: {shape: sigma}}
+    patterns : {group: Misfit} of textured groups, as if they were of one colour"""
     problem: Problem
     result: reflectance.Result
     scale: str
@@ -757,6 +765,7 @@ class Climb:
     tiles: Receivers
     rounds: int = 0
     sigma_shape: dict = field(default_factory=dict)
+    patterns: dict = field(default_factory=dict)
 
 
 def tolerance(misfit, threshold):
@@ -814,6 +823,8 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
         if not taken:
             break
         here = _refit(site, here, options)
+        if _back(here, threshold):
+            here = _refit(site, here, options)
         if trace:
             trace(here)
         wanted, settled = {}, settled | set(given)
@@ -885,6 +896,15 @@ def _textured(here, flagged, trials, threshold, settled):
     return taken
 
 
+def _back(here, threshold) -> list:
+    """Textures that were none: the light of a rung taken later explains them. They are diffuse again, and stay so."""
+    back = [g for g, m in here.patterns.items() if not here.places[g].given and m.excess <= tolerance(m, threshold)]
+    for g in back:
+        why = here.places[g].why.split(",")[0]
+        here.places[g] = Place(why=f"{why}; {here.patterns[g].excess:.4f} in the light by way of what climbed after it", tried=here.places[g].tried)
+    return back
+
+
 def _finish(places):
     from lib import specular
     groups = [g for g, p in sorted(places.items()) if p.rung in ("mirror", "coloured_mirror", "glossy", "anisotropic")]
@@ -911,7 +931,8 @@ def _refit(site, here, options) -> Climb:
         tiles = _tiles_of(site, None, chains, textured)
         problem = assemble(site, None, chains, tiles, None, None, variance=variance)
         result, scale = reflectance.fit(problem, start=(state.rho, state.E, state.gamma, None), **options)
-        return replace(here, problem=problem, result=result, scale=scale, tiles=tiles, misfits=audit(site.subcell, problem, result, tiles))
+        return replace(here, problem=problem, result=result, scale=scale, tiles=tiles, misfits=audit(site.subcell, problem, result, tiles),
+                       patterns=audit(site.subcell, problem, result, tiles, None, textured, patterns=True))
     tiles = _tiles_of(site, finish, chains, textured)
     transport = light(site, finish, chains, tiles)
     traced = np.array(finish.alpha)
@@ -970,12 +991,15 @@ def _refit(site, here, options) -> Climb:
     finally:
         site.base, site.detail = base, None
     sigma_shape = {}
-    for (m, name, *_), step in zip(problem.specular.bend, result.sigma_bend if result.sigma_bend is not None else []):
-        sigma_shape.setdefault(finish.groups[m], {})[name] = float(step)
+    for i, (m, name, *_) in enumerate(problem.specular.bend):
+        finish = bent(finish, m, name, result.state.bend[i], main_normal(site.surface, finish.groups[m]))      # the last step of the instruments
+        if result.sigma_bend is not None:
+            sigma_shape.setdefault(finish.groups[m], {})[name] = float(result.sigma_bend[i])
     for m, g in enumerate(finish.groups):
         places[g] = replace(places[g], rho_d=None, rho_s=None, alpha=finish.alpha[m], tangent=finish.tangent[m])
     new = replace(here, problem=problem, result=result, scale=scale, finish=finish, tiles=tiles, sigma_shape=sigma_shape)
     new.misfits = audit(site.subcell, problem, result, tiles, transport, textured)
+    new.patterns = audit(site.subcell, problem, result, tiles, transport, textured, patterns=True)
     return new
 
 

@@ -86,6 +86,7 @@ class Specular:
     bend: list = field(default_factory=list)      # of (m, name, W, V, low, high): bounds of the step in that shape
     doubts: list = field(default_factory=list)    # of (cause, W, V): changes of the lobes as large as one standard deviation
     halves: tuple = ()           # ((W, V), (W, V)) from disjoint rays
+    spread: tuple = ()           # (G, D_tile) by chain, as large as the sampling error of these
     _mixtures: dict = field(default_factory=dict, repr=False)
 
     def mixture(self, name, base):
@@ -277,7 +278,7 @@ class Light:
         return total
 
     def bent(self, W, V, E, b):
-        """Derivative of the lobes' light with respect to one shape, (T, C)."""
+        """What such changes of the lobes or of the ways (by chain, (T, N) and (T, L)) change in the tiles' light, (T, C)."""
         power = self.p.specular.chains.power(self.ways.rho_s)
         return sum((power[k] * (A @ X) for parts, X in ((W, b), (V, E)) for k, A in parts.items()), np.zeros((len(self.p.tile_group), self.p.channels)))
 
@@ -681,6 +682,9 @@ def _uncertainty(problem, layout, at, result):
     rho_tile = state.rho[problem.tile_group]
     at.light.at(state.rho_s)
     rho_tile = at.light.ways.seen * rho_tile
+    independent = []                                               # of each tile, (T, C) display
+    if problem.specular is not None and problem.specular.spread:
+        independent.append(at.slope * rho_tile * at.light.bent(*problem.specular.spread, state.E, state.b))
     terms = {"discretisation": 0.5 * push(rho_tile * ((problem.G - problem.G_plain) @ state.b))}
     for name, W, V in problem.specular.doubts if problem.specular is not None else ():
         terms[name] = push(at.light.bent(W, V, state.E, state.b))
@@ -689,9 +693,11 @@ def _uncertainty(problem, layout, at, result):
         b0, b1 = (Light(problem, F, problem.G, state.rho_s).solve(state.rho, state.E, state.b)[0] for F in (F0, F1))
         terms["form factors"] = 0.5 * push(rho_tile * (problem.G @ (b0 - b1)))
         sampling = at.slope * 0.5 * rho_tile * ((G0 - G1) @ state.b)
+        independent.append(sampling)
         expected = float(np.sqrt(np.median(sampling ** 2 / 0.455 + problem.pixel_noise ** 2 / problem.n_pixels[:, None])))
         result.misfit = float(np.sqrt(np.median(at.residual ** 2) / 0.455)) / max(expected, 1e-3)
-        each = by_tile((weight * sampling.reshape(-1))[:, None] * J)
+    for error in independent:
+        each = by_tile((weight * error.reshape(-1))[:, None] * J)
         cov = cov + inverse @ (each.T @ each) @ inverse
     theta = layout.pack(state)
     n_rho, n_E, n_s, n_bend = layout.ends

@@ -361,19 +361,25 @@ def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete):
 
 @dataclass
 class Rows:
-    """Light by specular ways: for each chain k >= 1 a matrix F_k (R, N) and lamp factors D_k (R, L), R elements."""
+    """Light by specular ways: for each chain k >= 1 a matrix F_k (R, N) and lamp factors D_k (R, L), R elements.
+
+    F_spread, D_spread : half the difference of the same from every other ray, as large as their sampling error; where asked for
+    """
     F: dict = field(default_factory=dict)        # chain -> csr float32
     D: dict = field(default_factory=dict)        # chain -> (R, L)
+    F_spread: dict = field(default_factory=dict)
+    D_spread: dict = field(default_factory=dict)
     rays: int = 0
     lost: float = 0.0                            # share of the elements' light that was still on its way when the count ran out
 
 
-def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, ray_start, begin, *, seed=0, complete=DEPTH, detail=None, progress=None) -> Rows:
+def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, ray_start, begin, *, seed=0, complete=DEPTH, detail=None, spread=False, progress=None) -> Rows:
     """The specular part of the rows of elements.
 
     ray_start : (R + 1,) rays of each element;  begin(first, last) -> Met of the rays of the elements first..last-1, and which of them count
     lamps : not mirrored ones;  complete : by how many mirrors lamps are mirrored (rays find those that are further)
     detail : (rays, triangle, t, patch) -> what the light there is of its patch's, (n,); None: patches are of one light
+    spread : two sets of rays apart, for F_spread and D_spread
     """
     from scipy.sparse import csr_array
     R, N = len(ray_start) - 1, len(mesh)
@@ -384,6 +390,7 @@ def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_
         start, counts = begin(first, last)
         element = np.repeat(np.arange(first, last), np.diff(ray_start[first:last + 1]))
         share = 1 / np.maximum(np.bincount(element - first, counts, last - first), 1)[element - first]
+        row = element + R * (np.arange(len(element)) % 2) if spread else element       # every other ray
         start = replace(start, triangle=np.where(counts, start.triangle, -1))
         result.rays += len(start)
 
@@ -395,7 +402,7 @@ def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_
         def at_lobe(p, facet, sign, met, group, axes, step):
             each = lobe_light(surface, finish, lamps, p, facet, sign, met, group, axes, step, seed=seed) * share[met.source][:, None]
             for j, lamp in enumerate(lamps):
-                keep(light, met.chain, element[met.source], np.full(len(met), lamp.lamp), each[:, j])
+                keep(light, met.chain, row[met.source], np.full(len(met), lamp.lamp), each[:, j])
 
         left = []
         for met in follow(surface, finish, chains, start, seed=seed, at_lobe=at_lobe, left=left):
@@ -403,20 +410,24 @@ def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_
             hit = _located(surface, mesh, met.rays, met.triangle, met.t)
             good = np.flatnonzero(hit >= 0)
             finer = 1 if detail is None else detail(met.rays[good], met.triangle[good], met.t[good], hit[good])
-            keep(factors, met.chain[good], element[met.source[good]], hit[good], value[good] * finer)
+            keep(factors, met.chain[good], row[met.source[good]], hit[good], value[good] * finer)
             which, weight = lamp_found(surface, lamps, met, chains, complete)
             on = np.flatnonzero(which >= 0)
-            keep(light, met.chain[on], element[met.source[on]], np.array([lamps[k].lamp for k in which[on]], int), weight[on] * share[met.source[on]])
+            keep(light, met.chain[on], row[met.source[on]], np.array([lamps[k].lamp for k in which[on]], int), weight[on] * share[met.source[on]])
         result.lost += sum(float((weight * share[source]).sum()) for source, weight in left) / R
         if progress is not None:
             progress(last / R)
         first = last
-    for store, target, columns in ((factors, result.F, N), (light, result.D, n_lamps)):
+    for store, target, apart, columns in ((factors, result.F, result.F_spread, N), (light, result.D, result.D_spread, n_lamps)):
         for k, pieces in store.items():
             row, column, value = (np.concatenate(x) for x in zip(*pieces))
-            matrix = csr_array((value.astype(np.float32), (row, column)), shape=(R, columns))
+            matrix = csr_array((value.astype(np.float32), (row, column)), shape=((1 + spread) * R, columns))
             matrix.sum_duplicates()
-            target[k] = matrix if target is result.F else matrix.toarray().astype(float)
+            if target is result.D:
+                matrix = matrix.toarray().astype(float)
+            if spread:                                             # shares are those of all rays: each set gives half
+                matrix, apart[k] = matrix[:R] + matrix[R:], matrix[:R] - matrix[R:]
+            target[k] = matrix
     return result
 
 
