@@ -393,6 +393,10 @@ class Misfit:
     tiles: int
     pixels: int
 
+    @property
+    def judged(self):
+        return self.tiles >= ENOUGH
+
 
 def misfit(problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
     """B, seen : (t, C) linear;  n_pixels : (t,);  spread : (t, C) display, of B's own sampling"""
@@ -406,7 +410,7 @@ def misfit(problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
 
 
 def audit(subcell, problem, result, tiles, transport=None, textured=(), patterns=False) -> dict:
-    """{group: Misfit} of every group with enough tiles, all pixels taken together. Specular groups are judged by the tiles of their fit.
+    """{group: Misfit} of every group that is seen, all pixels taken together. Specular groups are judged by the tiles of their fit.
 
     patterns : instead, of the `textured` groups alone, all their pixels as if they had one reflectance
     """
@@ -432,10 +436,10 @@ def audit(subcell, problem, result, tiles, transport=None, textured=(), patterns
     for g in textured if patterns else np.unique(tiles.group):
         if spec is not None and g in spec.groups:
             continue
-        mine = np.flatnonzero((tiles.group == g) & (tiles.fit == patterns) & (tiles.chain == 0))
-        if len(mine) < ENOUGH:                                     # only mirrors show it
-            mine = np.flatnonzero((tiles.group == g) & (tiles.chain > 0))
-        if len(mine) >= ENOUGH:
+        at_once = np.flatnonzero((tiles.group == g) & (tiles.fit == patterns) & (tiles.chain == 0))
+        mirrored = np.flatnonzero((tiles.group == g) & (tiles.chain > 0))
+        mine = mirrored if len(at_once) < ENOUGH <= len(mirrored) else at_once
+        if len(mine):
             found[int(g)] = misfit(problem, gamma, B[mine], seen[mine], tiles.n_pixels[mine], spread[mine])
     if spec is not None and not patterns:
         t = tiles.take(np.flatnonzero(tiles.fit))
@@ -777,8 +781,28 @@ def tolerance(misfit, threshold):
 def flagged(problem, misfits, given, threshold) -> list:
     """The groups that a diffuse surface does not explain, and those that are said to be no diffuse ones."""
     known = {g for g in range(len(problem.groups)) if not np.isnan(problem.rho[g]).any()}
-    return sorted({g for g, m in misfits.items() if g not in known and m.excess > tolerance(m, threshold) and given.get(g) != "diffuse"}
+    return sorted({g for g, m in misfits.items() if g not in known and m.judged and m.excess > tolerance(m, threshold) and given.get(g) != "diffuse"}
                   | {g for g, kind in given.items() if kind != "diffuse"})
+
+
+def doubt(problem, result, misfits, threshold, places=None):
+    """Diffuse groups that differ from the photograph by more than they may are less sure of their reflectance than pixels and rays
+    make them: as if all of that error were one of their brightness, or of anything where too few tiles are left to judge
+    them by. Widens result.sigma_rho and says so in result.warnings."""
+    known = {g for g in range(len(problem.groups)) if not np.isnan(problem.rho[g]).any()}
+    B, seen = (reflectance.group_mean(problem, values) for values in (result.state.B, np.ones((len(problem.tile_group), 1))))
+    for g, m in sorted(misfits.items()):
+        if g in known or result.sigma_rho is None or not m.excess > tolerance(m, threshold) or not np.isfinite(seen[g]).all() or places and places[g].rung != "diffuse":
+            continue
+        rho, said = result.state.rho[g], f"group {problem.groups[g]!r}: the photograph differs by {m.excess:.1%} of full scale beyond noise from a diffuse surface"
+        if m.judged:
+            slope = reflectance._metric(problem, result.state.gamma).slope(B[g:g + 1])[0]
+            wide = np.minimum(m.excess / np.maximum(slope * B[g], 1e-9), 1) * rho
+            result.warnings.append(f"{said}, and no rung explains it; its sigma is widened")
+        else:
+            wide = np.maximum(rho, 0.02)
+            result.warnings.append(f"{said}, and what is left of it ({m.tiles} tile{'s' * (m.tiles != 1)}) cannot tell what it is: its reflectance may be anything")
+        result.sigma_rho[g] = np.maximum(result.sigma_rho[g], wide)
 
 
 def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, options=None, max_rounds=12) -> Climb:
@@ -805,7 +829,8 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
     wanted = {g: kind for g, kind in given.items() if kind in ("mirror", "coloured_mirror", "glossy")}
     for here.rounds in range(1, max_rounds + 1):
         energy = lambda g: here.misfits[g].excess ** 2 * here.misfits[g].pixels if g in here.misfits else np.inf
-        flagged = sorted((g for g in {*here.misfits, *wanted} if g in wanted or g not in settled and here.misfits[g].excess > tolerance(here.misfits[g], threshold)), key=energy, reverse=True)
+        over = {g for g, m in here.misfits.items() if g not in settled and m.judged and m.excess > tolerance(m, threshold)}
+        flagged = sorted({*over, *wanted}, key=energy, reverse=True)
         trials, explained = {}, 0.0
         for g in flagged:
             if energy(g) < 0.03 * explained and g not in wanted:        # its error may be the other one's light: it is asked again

@@ -301,7 +301,7 @@ def _observe(problem, gamma):
     return problem.photograph.linear(_metric(problem, gamma).transfer)
 
 
-def _group_mean(problem, values, weights=None):
+def group_mean(problem, values, weights=None):
     """Pixel-weighted mean over each group's tiles, (G, C); NaN for a group never seen."""
     w = problem.n_pixels.astype(float)
     total = np.zeros((len(problem.groups), values.shape[1]))
@@ -314,7 +314,7 @@ def initialise(problem, gamma):
     """eq. 4.3: rho_i is the mean of P ** gamma over the pixels of group i; a group never seen starts at the seen
     groups' mean by area; an unknown lamp at the brightest group mean."""
     seen, _ = _observe(problem, gamma)
-    mean = _group_mean(problem, seen)
+    mean = group_mean(problem, seen)
     rho = np.where(np.isnan(problem.rho), np.clip(mean, 0.02, 0.9), problem.rho)
     prior, _ = _prior(problem, rho)
     rho = np.where(np.isnan(rho), prior, rho)
@@ -653,7 +653,7 @@ def _rmse(problem, residual):
 
 def group_rmse(problem, residual):
     """Display RMSE of each group's tiles, (G,); NaN where the group is not seen."""
-    return np.sqrt(_group_mean(problem, (residual ** 2).mean(axis=1, keepdims=True))[:, 0])
+    return np.sqrt(group_mean(problem, (residual ** 2).mean(axis=1, keepdims=True))[:, 0])
 
 
 def _uncertainty(problem, layout, at, result):
