@@ -269,20 +269,52 @@ def light(site, finish, chains, tiles):
     from lib import specular
     surface, mesh = site.surface, site.mesh
     to_patches = specular.transport(surface, mesh, finish, chains, site.lamps, site.n_lamps, n_rays=max(int(site.factors.rows.shot.max(initial=1)), 512))
+    site.note("rays by specular ways", to_patches.rays)
+    site.lost = to_patches.lost
+    to_tiles = ways(site, finish, chains, tiles, (to_patches.mirrored, to_patches.way, to_patches.complete))
+    return {k: (A @ site.subcell).tocsr() for k, A in to_patches.F.items()}, to_patches.D, *to_tiles
+
+
+def ways(site, finish, chains, tiles, mirrored=None):
+    """The specular ways of the light to tiles: G, D_tile by chain, and of both half the difference of two sets of samples.
+    mirrored : of specular.mirrored_lamps"""
+    from lib import specular
+    surface = site.surface
+    mirrored, way, complete = mirrored or specular.mirrored_lamps(surface, finish, chains, site.lamps)
     n = np.maximum(np.minimum(tiles.rows.shot, 1024), 64)
     ray_start, make = form_factors.from_points(surface, tiles.p, tiles.start, tiles.side[tiles.start[:-1]], n, seed=5)
-    to_tiles = specular.rows(surface, mesh, finish, chains, site.lamps, site.n_lamps, ray_start, specular.from_rays(surface, mesh, make), seed=5,
-                             complete=to_patches.complete, spread=True)
-    site.note("rays by specular ways", to_patches.rays + to_tiles.rays)
-    site.lost = max(to_patches.lost, to_tiles.lost)
-    one = [replace(lamp, lamp=k) for k, lamp in enumerate(to_patches.mirrored)]
-    if one:
-        start, some = _spread(tiles.start, 16)
-        factor = form_factors.direct(surface, one, tiles.p[some], site.normals, tiles.side[some], len(one), n_samples=8, start=start)
-        specular.add_lamps(to_tiles.D, to_patches.mirrored, to_patches.way, factor, site.n_lamps)
+    rows = specular.rows(surface, site.mesh, finish, chains, site.lamps, site.n_lamps, ray_start, specular.from_rays(surface, site.mesh, make), seed=5,
+                         complete=complete, spread=True)
+    site.note("rays by specular ways", rows.rays)
+    site.lost = max(rows.lost, site.lost)
+    if mirrored:                                                   # mirrors throw light with hard edges: every other point apart shows where
+        one = [replace(lamp, lamp=k) for k, lamp in enumerate(mirrored)]
+        start, some = _spread(tiles.start, 32)
+        halves = []
+        for odd in (0, 1):
+            n = np.diff(start)
+            mine = np.flatnonzero(((np.arange(len(some)) - np.repeat(start[:-1], n)) % 2 == odd) | (np.repeat(n, n) == 1))
+            part = some[mine]
+            begin = np.concatenate([[0], np.cumsum(np.where(n == 1, 1, (n + 1 - odd) // 2))])
+            halves.append(form_factors.direct(surface, one, tiles.p[part], site.normals, tiles.side[part], len(one), n_samples=8, start=begin, seed=odd))
+        specular.add_lamps(rows.D, mirrored, way, 0.5 * (halves[0] + halves[1]), site.n_lamps)
+        specular.add_lamps(rows.D_spread, mirrored, way, 0.5 * (halves[0] - halves[1]), site.n_lamps)
         site.note("mirrored lamps", len(one))
     corrected = lambda F: {k: (A @ site.subcell).tocsr() for k, A in F.items()}
-    return corrected(to_patches.F), to_patches.D, corrected(to_tiles.F), to_tiles.D, corrected(to_tiles.F_spread), to_tiles.D_spread
+    return corrected(rows.F), rows.D, corrected(rows.F_spread), rows.D_spread
+
+
+def by_ways(site, finish, rho_s, state, tiles):
+    """Irradiance of tiles by way of the surfaces of `finish` (M), and its sampling error, (T, C) each; rho_s : (M, C)"""
+    from lib import specular
+    chains = specular.Chains(len(finish))
+    nothing = np.zeros((len(tiles), state.E.shape[1]))
+    if not len(finish):
+        return nothing, nothing
+    G, D, G_spread, D_spread = ways(site, finish, chains, tiles)
+    power = chains.power(rho_s)
+    total = lambda G, D: sum((power[k] * (A @ X) for parts, X in ((G, state.b), (D, state.E)) for k, A in parts.items()), nothing)
+    return total(G, D), total(G_spread, D_spread)
 
 
 def _spread(start, most):
@@ -560,11 +592,15 @@ def _plain(site, here, g) -> Misfit:
     t, state = t.take(mine), here.result.state
     metric = reflectance._metric(here.problem, state.gamma)
     seen = Pixels(t.values, t.start).linear(metric.transfer)[0]
-    irradiance = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b
+    irradiance, spread = t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b, 0.0
     if here.finish is not None:
-        irradiance = irradiance * here.problem.specular.chains.power(state.rho_s)[t.chain]
+        keep = [m for m, other in enumerate(here.finish.groups) if other != g]
+        more, spread = by_ways(site, _kept(here.finish, keep), state.rho_s[keep], state, t)
+        power = here.problem.specular.chains.power(state.rho_s)[t.chain]
+        irradiance, spread = power * (irradiance + more), power * spread
     s = _scaled(metric, irradiance, seen, t.n_pixels[:, None] * np.ones(here.problem.channels))
-    return misfit(here.problem, state.gamma, s * irradiance, seen, t.n_pixels)
+    B = s * irradiance
+    return misfit(here.problem, state.gamma, B, seen, t.n_pixels, metric.slope(B) * s * spread)
 
 
 class Lobe:
@@ -599,7 +635,9 @@ class Lobe:
             t = t.take(np.unique(np.linspace(0, len(t) - 1, most).astype(int)))
         self.tiles, self.n = t, t.n_pixels
         self.seen = Pixels(t.values, t.start).linear(self.metric.transfer)[0]
-        self.irradiance = (t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b) * self.power[t.chain]
+        more, spread = by_ways(site, finish, rho_s, state, t)
+        self.irradiance = (t.direct @ state.E + (t.rows.matrix() @ site.subcell) @ state.b + more) * self.power[t.chain]
+        self.spread = spread * self.power[t.chain]
         self.weight = self.metric.slope(self.seen) ** 2 / (problem.pixel_noise ** 2 / self.n[:, None] + 0.004 ** 2)
         self.plain = self.fit(None)[0]
 
@@ -626,7 +664,7 @@ class Lobe:
             rho_d[c], rho_s[c] = _two(self.irradiance[:, c], lobe[:, c], self.seen[:, c], self.weight[:, c])
         B = rho_d * self.irradiance + rho_s * lobe
         chi2 = float((self.weight * (B - self.seen) ** 2).sum())
-        return misfit(self.problem, self.state.gamma, B, self.seen, self.n), chi2, rho_d, rho_s
+        return misfit(self.problem, self.state.gamma, B, self.seen, self.n, self.metric.slope(B) * rho_d * self.spread), chi2, rho_d, rho_s
 
 
 def _two(x, y, wanted, weight):
@@ -837,10 +875,12 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
                 continue
             trials[g] = _tried(site, here, g, wanted.get(g), threshold)
             explained = max([explained] + [energy(g) for t in trials[g] if t.explained > 0.8])
-        # the greatest error first: what no rung explains may be what a mirror shows, or throw gamma off
+        # the greatest error first: what no rung explains may be what a mirror shows, or throw gamma off; but not before a rung that
+        # explains its group wholly, whose light may be that error
+        sure = any(t.explained > 0.8 and t.misfit.excess <= 0.5 * threshold for tried in trials.values() for t in tried)
         greatest = max((g for g in trials if g not in wanted and not any(t.explained > 0.5 for t in trials[g])), key=energy, default=None)
         others = max((energy(g) * t.explained for g in trials for t in trials[g]), default=0.0)
-        taken = [] if greatest is not None and energy(greatest) > 4 * others else _taken(here, trials, threshold, wanted, settled)
+        taken = [] if greatest is not None and energy(greatest) > 4 * others and not sure else _taken(here, trials, threshold, wanted, settled)
         if not taken and greatest is not None:
             taken = _textured(here, [greatest], trials, threshold, settled)
         if not taken:
@@ -861,8 +901,7 @@ def _tried(site, here, g, wanted, threshold):
     from lib import specular
     state, M = here.result.state, 0 if here.finish is None else len(here.finish)
     keep = [m for m in range(M) if here.finish.groups[m] != g]
-    finish = specular.Finish(tuple(here.finish.groups[m] for m in keep), here.finish.kind[keep], here.finish.alpha[keep], here.finish.tangent[keep]) if M \
-        else specular.Finish((), np.zeros(0, int), np.zeros((0, 2)), np.zeros((0, 3)))
+    finish = _kept(here.finish, keep) if M else specular.Finish((), np.zeros(0, int), np.zeros((0, 2)), np.zeros((0, 3)))
     rho_s = state.rho_s[keep] if M else np.zeros((0, here.problem.channels))
     own = RUNGS.index(here.places[g].rung)
     trials = []
@@ -875,6 +914,11 @@ def _tried(site, here, g, wanted, threshold):
             return [t for t in trials if RUNGS.index(t.rung) > own]
     trials += as_glossy(site, here.problem, state, finish, rho_s, g, threshold)
     return [t for t in trials if RUNGS.index(t.rung) > own]
+
+
+def _kept(finish, which):
+    """The finish of the specular groups numbered `which` alone."""
+    return replace(finish, groups=tuple(finish.groups[m] for m in which), kind=finish.kind[which], alpha=finish.alpha[which], tangent=finish.tangent[which])
 
 
 def _taken(here, trials, threshold, wanted, settled):
