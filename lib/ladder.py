@@ -387,7 +387,7 @@ def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=
     """The inverse problem of the tiles that take part in the fit; finish None: nothing is specular.
 
     rho_s : (M, C), NaN where free;  variance : (G,) display, of what a group's tiles are known to differ by
-    final : trace the lobes twice, and without light within patches: what that changes is their uncertainty
+    final : trace the lobes twice, and without light within patches: what that changes is their uncertainty; and their shapes' derivatives with twice the rays
     """
     from lib import specular
     base, some = site.base, np.flatnonzero(tiles.fit)
@@ -408,7 +408,7 @@ def assemble(site, finish, chains, tiles, transport, rho_s, shapes=(), variance=
             halves = (rows.F, rows.D), (again.F, again.D)
             rows = specular.Rows(_combined(rows.F, again.F, 0.5, 0.5), _combined(rows.D, again.D, 0.5, 0.5), rows.rays)
         spec = Specular(finish.groups, chains, F, D, {k: A[some] for k, A in G.items()}, {k: A[some] for k, A in D_tile.items()}, t.chain, rows.F, rows.D,
-                        rho_s, bends(site, finish, chains, t, shapes, rays=rays), doubts, halves, tuple({k: A[some] for k, A in x.items()} for x in (G_spread, D_spread)))
+                        rho_s, bends(site, finish, chains, t, shapes, rays=2 * site.lobe_rays if final else rays), doubts, halves, tuple({k: A[some] for k, A in x.items()} for x in (G_spread, D_spread)))
     seen = lambda half=None: (t.rows.matrix(half) @ site.subcell).tocsr()
     return replace(base, G=seen(), G_plain=t.rows.matrix(), D_tile=t.direct, tile_group=t.group, tile_object=t.object, start=t.start, pixels=t.values,
                    halves=(seen(0), seen(1), *base.halves[2:]) if base.halves else (), specular=spec, variance=None if variance is None else variance[t.group][:, None])

@@ -363,7 +363,7 @@ def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete):
 class Rows:
     """Light by specular ways: for each chain k >= 1 a matrix F_k (R, N) and lamp factors D_k (R, L), R elements.
 
-    F_spread, D_spread : half the difference of the same from every other ray, as large as their sampling error; where asked for
+    F_spread, D_spread : half the difference of the same from the first and the last rays, as large as their sampling error; where asked for
     """
     F: dict = field(default_factory=dict)        # chain -> csr float32
     D: dict = field(default_factory=dict)        # chain -> (R, L)
@@ -390,7 +390,9 @@ def rows(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_
         start, counts = begin(first, last)
         element = np.repeat(np.arange(first, last), np.diff(ray_start[first:last + 1]))
         share = 1 / np.maximum(np.bincount(element - first, counts, last - first), 1)[element - first]
-        row = element + R * (np.arange(len(element)) % 2) if spread else element       # every other ray
+        row = element
+        if spread:                                                 # its first rays and its last: each half of a Sobol' sequence is spread as evenly as the whole
+            row = element + R * (np.arange(ray_start[first], ray_start[last]) >= ((ray_start[:-1] + ray_start[1:]) // 2)[element])
         start = replace(start, triangle=np.where(counts, start.triangle, -1))
         result.rays += len(start)
 

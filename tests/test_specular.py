@@ -315,6 +315,22 @@ def test_furnace_with_a_brushed_wall(hall):
     assert abs(long[0] - long[1]) > 0.05
 
 
+@pytest.mark.parametrize("alpha", [0.05, 0.3])
+def test_the_sampling_error_of_specular_ways_is_known(alpha):
+    """A ceiling above a glossy floor and a lamp: over 400 tiles at one place, whose rays alone differ, the spread of two sets of rays is
+    that of the tiles, and asking for it changes the light by no more than rounding."""
+    s = surface([(n, q) for n, q in closed_room() if n != "lamp"] + [("lamp", rectangle((1, 1, 1.5), (0, .6, 0), (.6, 0, 0)))], ["lamp"])
+    mesh, spec, lamps, p = rooms.patches(s, 60), finish(s, bottom=alpha), form_factors.emitters(s, ["lamp"]), np.repeat([[1.6, 1.2, 2.4]], 400, axis=0)
+    how = s, mesh, spec, lamps, p, side_of(s, "top"), 256
+    (rows, _), (plain, _) = elements(*how, spread=True), elements(*how)
+    b = np.linspace(0.2, 1, len(mesh))
+    for one, other, apart in ((rows.F[1] @ b, plain.F[1] @ b, rows.F_spread[1] @ b), (rows.D[1][:, 0], plain.D[1][:, 0], rows.D_spread[1][:, 0])):
+        assert one == pytest.approx(other, rel=1e-5)
+        assert one.mean() > 0 and apart.mean() == pytest.approx(0, abs=4 * one.std() / 20)
+        assert np.sqrt((apart ** 2).mean()) == pytest.approx(one.std(), rel=0.3)
+    assert not plain.F_spread and not plain.D_spread
+
+
 OVER = rectangle((.5, -.3, 1.5), (0, .6, 0), (.6, 0, 0))          # a lamp over a glossy floor
 
 
