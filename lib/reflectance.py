@@ -291,14 +291,14 @@ class Light:
         return State(rho, E, gamma, self.shown(rho, E, b), b)
 
 
-def _metric(problem, gamma):
+def metric_of(problem, gamma):
     if problem.metric.transfer.kind == "gamma":
         return Metric(Transfer("gamma", gamma))
     return problem.metric
 
 
-def _observe(problem, gamma):
-    return problem.photograph.linear(_metric(problem, gamma).transfer)
+def observe(problem, gamma):
+    return problem.photograph.linear(metric_of(problem, gamma).transfer)
 
 
 def group_mean(problem, values, weights=None):
@@ -313,7 +313,7 @@ def group_mean(problem, values, weights=None):
 def initialise(problem, gamma):
     """eq. 4.3: rho_i is the mean of P ** gamma over the pixels of group i; a group never seen starts at the seen
     groups' mean by area; an unknown lamp at the brightest group mean."""
-    seen, _ = _observe(problem, gamma)
+    seen, _ = observe(problem, gamma)
     mean = group_mean(problem, seen)
     rho = np.where(np.isnan(problem.rho), np.clip(mean, 0.02, 0.9), problem.rho)
     prior, _ = _prior(problem, rho)
@@ -464,8 +464,8 @@ def _jacobian(problem, light, layout, state, db):
 
 def _residual(problem, B, gamma):
     """Display value of synthesis minus photograph per tile, (T, C), and its derivative in B and in gamma."""
-    metric = _metric(problem, gamma)
-    seen, seen_slope = _observe(problem, gamma)
+    metric = metric_of(problem, gamma)
+    seen, seen_slope = observe(problem, gamma)
     residual = metric.value(B) - metric.value(seen)
     slope = metric.slope(B)
     by_gamma = np.zeros_like(residual)
@@ -787,8 +787,8 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=1.0, threshold=
         return total / m_pair
 
     def finish(state, converged):
-        metric = _metric(problem, state.gamma)
-        residual = metric.value(state.B) - metric.value(_observe(problem, state.gamma)[0])
+        metric = metric_of(problem, state.gamma)
+        residual = metric.value(state.B) - metric.value(observe(problem, state.gamma)[0])
         return Result(state, converged, iteration, _rmse(problem, residual), tile_residual=residual, residual=light.residual)
 
     for outer in range(max_outer):
@@ -796,8 +796,8 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=1.0, threshold=
         for inner in range(max_inner):
             state = light.render(rho, E, gamma, x0)
             x0 = state.b
-            metric = _metric(problem, gamma)
-            seen, _ = _observe(problem, gamma)
+            metric = metric_of(problem, gamma)
+            seen, _ = observe(problem, gamma)
             residual = metric.value(state.B) - metric.value(seen)
             if trace:
                 trace(iteration=iteration, image_rmse=_rmse(problem, residual), state=state)

@@ -45,6 +45,10 @@ class Finish:
     def __len__(self):
         return len(self.groups)
 
+    def only(self, which):
+        """The finish of the specular groups numbered `which` alone."""
+        return replace(self, groups=tuple(self.groups[m] for m in which), kind=self.kind[which], alpha=self.alpha[which], tangent=self.tangent[which])
+
     def facets(self, surface: Surface):
         """Per facet: number of its specular group, -1 (F,) int32, and the tangent frame in its plane (F, 2, 3)."""
         number = np.full(len(surface.groups), -1, np.int32)

@@ -78,7 +78,7 @@ def main(opt):
 
 def climbed(opt, report, problem, result, scale, factors, gathered):
     """The ladder: nothing but an audit where every group is diffuse. -> problem, result, scale, ladder.Climb, textures"""
-    from lib import form_factors, gather, ladder
+    from lib import form_factors, gather, ladder, receivers, rungs
     files = {name: getattr(opt, name) for name in ("audit", "model", "camera", "photograph", "facet")}
     if not all(files.values()) or len(problem.tile_group) == 0:
         return problem, result, scale, None, None
@@ -86,7 +86,7 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
     if len(audit.visible) != len(problem.groups) or audit.tiles.rows.columns != len(problem.area):
         raise stage.BadInput(f"{opt.audit}: groups, patches: {len(audit.visible)}, {audit.tiles.rows.columns} are not those of {opt.formfactors}")
     given = {problem.groups.index(name): kind for name, kind in opt.surfaces.items()}
-    misfits = ladder.audit(factors.subcell(), problem, result, ladder.unplaced(audit))
+    misfits = rungs.audit(factors.subcell(), problem, result, receivers.unplaced(audit))
     named = lambda found: {problem.groups[g]: value for g, value in found.items()}
     report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": named({g: m.excess for g, m in misfits.items() if m.judged}), "rays": {}, "rounds": 0}
     if not ladder.flagged(problem, misfits, given, opt.threshold):
@@ -96,14 +96,14 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
         from lib import specular
         form_factors.warm_up()
         specular.warm_up()
-    site = ladder.read_site(files, opt.formfactors, factors, problem, gathered, audit, lobe_rays=opt.lobe_rays)
+    site = receivers.read_site(files, opt.formfactors, factors, problem, gathered, audit, lobe_rays=opt.lobe_rays)
     climb = ladder.climb(site, result, scale, given=given, threshold=opt.threshold,
                          trace=lambda c: report.trace(round=c.rounds, image_rmse=c.result.rmse, gamma=c.result.state.gamma),
                          options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})
     if site.lost > 0.01:
         report.warning(f"{site.lost:.0%} of the light is still between mirrors after {specular.DEPTH} of them: rooms of mirrors are too dark")
     ladder.doubt(climb.problem, climb.result, climb.misfits, opt.threshold, climb.places)
-    textures = ladder.write_textures(site, climb, Path(opt.materials).parent)
+    textures = rungs.write_textures(site, climb, Path(opt.materials).parent)
     summary |= {"rays": site.spent, "rounds": climb.rounds, "end": named({g: m.excess for g, m in climb.misfits.items() if m.judged}),
                 "rungs": named({g: p.rung for g, p in climb.places.items() if p.rung != "diffuse"})}
     return climb.problem, climb.result, climb.scale, climb, textures

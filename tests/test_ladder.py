@@ -1,4 +1,4 @@
-"""The reflectance ladder, lib/ladder.py and stages/fit.py: self-consistency laws.
+"""The reflectance ladder, lib/ladder.py, lib/rungs.py, lib/receivers.py and stages/fit.py: self-consistency laws.
 
 The photographs here are made by our own renderer (lib.rendering) in small rooms, with noise and 8 bits, from materials that the
 test chose. What the fit finds in them must be those materials, within its own sigma and the percent to which renderer and fit agree.
@@ -82,8 +82,8 @@ def kinds(found):
 # -- nothing to climb for
 
 def test_a_diffuse_room_stays_diffuse_and_builds_nothing(room, monkeypatch):
-    from lib import ladder
-    monkeypatch.setattr(ladder, "site", lambda *_, **__: pytest.fail("a Site was built"))
+    from lib import receivers
+    monkeypatch.setattr(receivers, "site", lambda *_, **__: pytest.fail("a Site was built"))
     found, report = room.found({"picture": .3})
     assert kinds(found) == {} and report["ladder"]["rays"] == {} and max(report["ladder"]["diffuse"].values()) < 0.006
     assert all("ladder" not in entry for entry in found["groups"].values())
