@@ -135,7 +135,7 @@ def plot(rows, by_time, path):
     import matplotlib
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.8))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(14, 4.8), width_ratios=(1, 1.5))
     table = np.zeros((len(KINDS), len(KINDS)), int)
     for *_, true, found, _ in rows:
         table[KINDS.index(true), KINDS.index(found)] += 1
@@ -149,16 +149,20 @@ def plot(rows, by_time, path):
     left.set_xlabel("found")
     left.set_ylabel("true")
     left.set_title(f"groups of at least {ENOUGH} px, {len({seed for _, seed, *_ in rows})} seeds of {100 * NOISE:g} % noise")
-    for scene in dict.fromkeys(row[0] for row in by_time):
+    signs = ("rho_s, absolute", "o-", 2), ("alpha, relative", "s--", 3), ("diffuse groups, mean relative", "^:", 5)
+    for colour, scene in enumerate(dict.fromkeys(row[0] for row in by_time)):
         mine = np.array([row[1:] for row in by_time if row[0] == scene], float)
-        right.loglog(mine[:, 1], np.maximum(mine[:, 2], 1e-5), "o-", label=f"{scene}: rho_s, absolute")
-        if mine[:, 3].any():
-            right.loglog(mine[:, 1], mine[:, 3], "s--", label=f"{scene}: alpha, relative")
-        right.loglog(mine[:, 1], mine[:, 5], "^:", label=f"{scene}: diffuse, mean relative")
+        for what, style, column in signs:
+            if mine[:, column].any():
+                right.loglog(mine[:, 1], mine[:, column], style, color=f"C{colour}", label=f"{scene}: {what}", ms=5, lw=1)
+        if len(mine) > 1:
+            for rays, seconds, *_, error in mine:
+                right.annotate(f"{rays:.0f}", (seconds, error), fontsize=7, xytext=(4, 3), textcoords="offset points", color=f"C{colour}")
     right.set_xlabel("CPU s of fit, the whole ladder")
     right.set_ylabel("error against truth")
     right.grid(True, which="both", color="0.92")
-    right.legend(fontsize=6)
+    right.set_title("numbers: rays in each lobe; perfect mirrors have no error of rho_s", fontsize=9)
+    right.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.01, 0.5))
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)
