@@ -68,7 +68,7 @@ def flagged(problem, misfits, given, threshold) -> list:
                   | {g for g, kind in given.items() if kind != "diffuse"})
 
 
-def doubt(problem, result, misfits, threshold, places=None):
+def doubt(problem, result, misfits, threshold, given, places=None):
     """Diffuse groups that differ from the photograph by more than they may are less sure of their reflectance than pixels and rays
     make them: as if all of that error were one of their brightness, or of anything where too few tiles are left to judge
     them by. Widens result.sigma_rho and says so in result.warnings."""
@@ -81,7 +81,8 @@ def doubt(problem, result, misfits, threshold, places=None):
         if m.judged:
             slope = reflectance.metric_of(problem, result.state.gamma).slope(B[g:g + 1])[0]
             wide = np.minimum(m.excess / np.maximum(slope * B[g], 1e-9), 1) * rho
-            result.warnings.append(f"{said}, and no rung explains it; its sigma is widened")
+            why = "which scene.yaml says it is" if given.get(g) == "diffuse" else "and no rung explains it"
+            result.warnings.append(f"{said}, {why}; its sigma is widened")
         else:
             wide = np.maximum(rho, 0.02)
             result.warnings.append(f"{said}, and what is left of it ({m.tiles} tile{'s' * (m.tiles != 1)}) cannot tell what it is: its reflectance may be anything")
@@ -96,7 +97,7 @@ def climb(site, result, scale, *, given=None, threshold=THRESHOLD, trace=None, o
     """
     given, options = dict(given or {}), dict(options or {})
     base = site.base
-    misfits = rungs.audit(site.subcell, base, result, site.base_tiles)
+    misfits, _ = rungs.audit(site.subcell, base, result, site.base_tiles)
     here = Climb(base, result, scale, {int(g): Place() for g in np.unique(site.surface.group)}, misfits, dict(misfits), None, site.base_tiles)
     known = {g for g in range(len(base.groups)) if not np.isnan(base.rho[g]).any()}       # lamps and references
     settled = set(known)
@@ -152,7 +153,7 @@ def _tried(site, here, g, wanted, threshold):
     trials = []
     if wanted in (None, "mirror", "coloured_mirror") and own < RUNGS.index("coloured_mirror"):
         trials += rungs.as_mirror(site, here.problem, state, finish, rho_s, g, rungs.plain(site, here, g),
-                            [h for h, p in here.places.items() if p.rung == "textured"])
+                                  [h for h, p in here.places.items() if p.rung == "textured"])
         if wanted:
             return [t for t in trials if t.rung == wanted]
         if any(t.misfit.excess <= threshold or t.explained > 0.7 for t in trials):      # if the rest is more than the light's, it climbs on
@@ -240,8 +241,8 @@ def _refit(site, here, options) -> Climb:
         tiles = receivers.tiles_of(site, None, chains, textured)
         problem = receivers.assemble(site, None, chains, tiles, None, None, variance=variance)
         result, scale = reflectance.fit(problem, start=(state.rho, state.E, state.gamma, None), **options)
-        return replace(here, problem=problem, result=result, scale=scale, tiles=tiles, misfits=rungs.audit(site.subcell, problem, result, tiles),
-                       patterns=rungs.audit(site.subcell, problem, result, tiles, None, textured, patterns=True))
+        misfits, patterns = rungs.audit(site.subcell, problem, result, tiles, None, textured)
+        return replace(here, problem=problem, result=result, scale=scale, tiles=tiles, misfits=misfits, patterns=patterns)
     tiles = receivers.tiles_of(site, finish, chains, textured)
     transport = receivers.light(site, finish, chains, tiles)
     traced = np.array(finish.alpha)
@@ -306,10 +307,8 @@ def _refit(site, here, options) -> Climb:
             sigma_shape.setdefault(finish.groups[m], {})[name] = float(result.sigma_bend[i])
     for m, g in enumerate(finish.groups):
         places[g] = replace(places[g], rho_d=None, rho_s=None, alpha=finish.alpha[m], tangent=finish.tangent[m])
-    new = replace(here, problem=problem, result=result, scale=scale, finish=finish, tiles=tiles, sigma_shape=sigma_shape)
-    new.misfits = rungs.audit(site.subcell, problem, result, tiles, transport, textured)
-    new.patterns = rungs.audit(site.subcell, problem, result, tiles, transport, textured, patterns=True)
-    return new
+    misfits, patterns = rungs.audit(site.subcell, problem, result, tiles, transport, textured)
+    return replace(here, problem=problem, result=result, scale=scale, finish=finish, tiles=tiles, sigma_shape=sigma_shape, misfits=misfits, patterns=patterns)
 
 
 def _ordered(site, finish, m):

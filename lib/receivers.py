@@ -287,16 +287,13 @@ def ways(site, finish, chains, tiles, mirrored=None):
 
 
 def by_ways(site, finish, rho_s, state, tiles):
-    """Irradiance of tiles by way of the surfaces of `finish` (M), and its sampling error, (T, C) each; rho_s : (M, C)"""
+    """Irradiance of tiles by way of the surfaces of `finish` (M), and its sampling error, (T, C) each, or 0 where there are none; rho_s : (M, C)"""
     from lib import specular
-    chains = specular.Chains(len(finish))
-    nothing = np.zeros((len(tiles), state.E.shape[1]))
     if not len(finish):
-        return nothing, nothing
+        return 0.0, 0.0
+    chains = specular.Chains(len(finish))
     G, D, G_spread, D_spread = ways(site, finish, chains, tiles)
-    power = chains.power(rho_s)
-    total = lambda G, D: sum((power[k] * (A @ X) for parts, X in ((G, state.b), (D, state.E)) for k, A in parts.items()), nothing)
-    return total(G, D), total(G_spread, D_spread)
+    return chains.total(rho_s, G, D, state.b, state.E), chains.total(rho_s, G_spread, D_spread, state.b, state.E)
 
 
 def few(start, most):

@@ -279,8 +279,7 @@ class Light:
 
     def bent(self, W, V, E, b):
         """What such changes of the lobes or of the ways (by chain, (T, N) and (T, L)) change in the tiles' light, (T, C)."""
-        power = self.p.specular.chains.power(self.ways.rho_s)
-        return sum((power[k] * (A @ X) for parts, X in ((W, b), (V, E)) for k, A in parts.items()), np.zeros((len(self.p.tile_group), self.p.channels)))
+        return self.p.specular.chains.total(self.ways.rho_s, W, V, b, E) + np.zeros((len(self.p.tile_group), self.p.channels))
 
     def shown(self, rho, E, b, bend=()):
         """Radiosity of the tiles, (T, C)."""

@@ -45,39 +45,36 @@ def misfit(problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
     return Misfit(float(np.sqrt(max(square - chance * variance, 0))), float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
 
 
-def audit(subcell, problem, result, tiles, transport=None, textured=(), patterns=False) -> dict:
-    """{group: Misfit} of every group that is seen, all pixels taken together. Specular groups are judged by the tiles of their fit.
-
-    patterns : instead, of the `textured` groups alone, all their pixels as if they had one reflectance
-    """
+def audit(subcell, problem, result, tiles, transport=None, textured=()):
+    """{group: Misfit} of every group that is seen, all pixels taken together; specular groups are judged by the tiles of their fit,
+    textured ones by their flattest. And {group: Misfit} of the textured ones by all their pixels, as if they had one reflectance."""
     state, gamma = result.state, result.state.gamma
-    found = {}
+    found, patterns = {}, {}
     spec = problem.specular
     rows = tiles.rows
-    seen = Pixels(tiles.values, tiles.start).linear(reflectance.metric_of(problem, gamma).transfer)[0]
     metric = reflectance.metric_of(problem, gamma)
+    seen = Pixels(tiles.values, tiles.start).linear(metric.transfer)[0]
     G = (rows.matrix() @ subcell).tocsr()
     half = 0.5 * (((rows.matrix(0) - rows.matrix(1)) @ subcell) @ state.b)
     irradiance = tiles.direct @ state.E + G @ state.b
     power = np.ones((len(tiles), 1))
     if spec is not None:
         _, _, G_k, D_k, G_spread, D_spread = transport
-        weight = spec.chains.power(state.rho_s)
-        total = lambda G, D: sum((weight[k] * (A @ X) for parts, X in ((G, state.b), (D, state.E)) for k, A in parts.items()), np.zeros_like(irradiance))
-        irradiance = irradiance + total(G_k, D_k)
-        half = np.hypot(half, total(G_spread, D_spread))
-        power = weight[tiles.chain]
+        irradiance = irradiance + spec.chains.total(state.rho_s, G_k, D_k, state.b, state.E)
+        half = np.hypot(half, spec.chains.total(state.rho_s, G_spread, D_spread, state.b, state.E))
+        power = spec.chains.power(state.rho_s)[tiles.chain]
     B = power * state.rho[tiles.group] * irradiance
     spread = metric.slope(B) * np.abs(power * state.rho[tiles.group] * half)
-    for g in textured if patterns else np.unique(tiles.group):
-        if spec is not None and g in spec.groups:
-            continue
-        at_once = np.flatnonzero((tiles.group == g) & (tiles.fit == patterns) & (tiles.chain == 0))
-        mirrored = np.flatnonzero((tiles.group == g) & (tiles.chain > 0))
-        mine = mirrored if len(at_once) < ENOUGH <= len(mirrored) else at_once
-        if len(mine):
-            found[int(g)] = misfit(problem, gamma, B[mine], seen[mine], tiles.n_pixels[mine], spread[mine])
-    if spec is not None and not patterns:
+    for store, groups, fit in ((found, np.unique(tiles.group), False), (patterns, textured, True)):
+        for g in groups:
+            if spec is not None and g in spec.groups:
+                continue
+            at_once = np.flatnonzero((tiles.group == g) & (tiles.fit == fit) & (tiles.chain == 0))
+            mirrored = np.flatnonzero((tiles.group == g) & (tiles.chain > 0))
+            mine = mirrored if len(at_once) < ENOUGH <= len(mirrored) else at_once
+            if len(mine):
+                store[int(g)] = misfit(problem, gamma, B[mine], seen[mine], tiles.n_pixels[mine], spread[mine])
+    if spec is not None:
         t = tiles.take(np.flatnonzero(tiles.fit))
         target = reflectance.observe(problem, gamma)[0]
         for m, g in enumerate(spec.groups):
@@ -85,7 +82,7 @@ def audit(subcell, problem, result, tiles, transport=None, textured=(), patterns
             mine = np.flatnonzero((t.lobe == m) & (t.chain == 0) if (t.lobe == m).any() else through)
             if len(mine):
                 found[int(g)] = misfit(problem, gamma, state.B[mine], target[mine], t.n_pixels[mine])
-    return found
+    return found, patterns
 
 
 # -- trying a rung in the light found so far
@@ -259,9 +256,7 @@ class Lobe:
                 number = np.array([chains.number((*count, 0)) for count in self.known.count], np.int32)
                 tiles = replace(tiles, chain=number[tiles.chain])
             rows = receivers.lobes(self.site, wider, chains, tiles, rays=128)
-            power = chains.power(self.rho_s)
-            lobe = sum((power[k] * (A @ self.state.b) for k, A in rows.F.items()), np.zeros_like(self.irradiance)) \
-                + sum((power[k] * (A @ self.state.E) for k, A in rows.D.items()), np.zeros_like(self.irradiance))
+            lobe = np.zeros_like(self.irradiance) + chains.total(self.rho_s, rows.F, rows.D, self.state.b, self.state.E)
         C = self.irradiance.shape[1]
         rho_d, rho_s = np.zeros(C), np.zeros(C)
         for c in range(C):

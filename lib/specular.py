@@ -100,6 +100,11 @@ class Chains:
         """(K, C): the product of rho_s (M, C) along each chain."""
         return np.prod(rho_s[None] ** self.counts[:, :, None], axis=1)
 
+    def total(self, rho_s, F, D, b, E):
+        """What ways by chain, F (R, N) and D (R, L), bring of the light b (N, C) and E (L, C): (R, C), or 0 where there are none."""
+        power = self.power(rho_s)
+        return sum(power[k] * (A @ light) for parts, light in ((F, b), (D, E)) for k, A in parts.items())
+
     def slope(self, rho_s, m):
         """(K, C): derivative of `power` with respect to rho_s[m]."""
         n = self.counts

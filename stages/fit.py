@@ -86,11 +86,11 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
     if len(audit.visible) != len(problem.groups) or audit.tiles.rows.columns != len(problem.area):
         raise stage.BadInput(f"{opt.audit}: groups, patches: {len(audit.visible)}, {audit.tiles.rows.columns} are not those of {opt.formfactors}")
     given = {problem.groups.index(name): kind for name, kind in opt.surfaces.items()}
-    misfits = rungs.audit(factors.subcell(), problem, result, receivers.unplaced(audit))
+    misfits, _ = rungs.audit(factors.subcell(), problem, result, receivers.unplaced(audit))
     named = lambda found: {problem.groups[g]: value for g, value in found.items()}
     report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": named({g: m.excess for g, m in misfits.items() if m.judged}), "rays": {}, "rounds": 0}
     if not ladder.flagged(problem, misfits, given, opt.threshold):
-        ladder.doubt(problem, result, misfits, opt.threshold)
+        ladder.doubt(problem, result, misfits, opt.threshold, given)
         return problem, result, scale, None, None
     with report.excluded("compile"):
         from lib import specular
@@ -102,7 +102,7 @@ def climbed(opt, report, problem, result, scale, factors, gathered):
                          options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})
     if site.lost > 0.01:
         report.warning(f"{site.lost:.0%} of the light is still between mirrors after {specular.DEPTH} of them: rooms of mirrors are too dark")
-    ladder.doubt(climb.problem, climb.result, climb.misfits, opt.threshold, climb.places)
+    ladder.doubt(climb.problem, climb.result, climb.misfits, opt.threshold, given, climb.places)
     textures = rungs.write_textures(site, climb, Path(opt.materials).parent)
     summary |= {"rays": site.spent, "rounds": climb.rounds, "end": named({g: m.excess for g, m in climb.misfits.items() if m.judged}),
                 "rungs": named({g: p.rung for g, p in climb.places.items() if p.rung != "diffuse"})}
