@@ -1,5 +1,5 @@
 # make, make <scene>, make <scene>/<stage>, make help.  The stages and their files: pipeline.yaml.
-# lib/plan.py walks back from a scene's goals and writes build/<scene>/plan.mk, plain Make; this file runs those.
+# lib/planning/plan.py walks back from a scene's goals and writes build/<scene>/plan.mk, plain Make.  This file runs it.
 SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 MAKEFLAGS += --no-builtin-rules --no-print-directory
@@ -14,13 +14,15 @@ DATA ?= data
 BUILD ?= build
 PYTHON := .venv/bin/python
 PYTHON3 ?= python3
+INSTALL := -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r
 
 TARGETS := all plan test bench scenes doctor help clean setup demo
 GOALS := $(or $(MAKECMDGOALS),demo)
 SCENES := $(shell cd "$(DATA)" 2>/dev/null && ls -d */scene.yaml 2>/dev/null | cut -d/ -f1)
 
 # What is asked for: scenes and stages of scenes; those of one scene are planned and run together.
-WISHES := $(sort $(filter-out $(TARGETS),$(GOALS)) $(if $(filter demo,$(GOALS)),office-stereo) $(if $(filter all,$(GOALS)),$(SCENES)))
+WISHES := $(sort $(filter-out $(TARGETS),$(GOALS)) $(if $(filter demo,$(GOALS)),office-stereo) \
+  $(if $(filter all,$(GOALS)),$(SCENES)))
 NAMES := $(sort $(foreach wish,$(WISHES),$(firstword $(subst /, ,$(wish)))))
 
 .PHONY: $(TARGETS) $(WISHES) $(NAMES:%=run-%)
@@ -31,26 +33,28 @@ define scene
 $(filter-out run-$(1),$(filter $(1) $(1)/%,$(WISHES))): run-$(1) ; @:
 run-$(1): setup
 	+@[ -e .venv/ready ] || { echo '# the plan of $(1) is known once .venv is there'; exit 0; }; \
-	$$(PYTHON) -m lib.plan --data "$$(DATA)" --build "$$(BUILD)" --python $$(PYTHON) $(filter $(1) $(1)/%,$(WISHES)); \
+	$$(PYTHON) -m lib.planning.plan --data "$$(DATA)" --build "$$(BUILD)" --python $$(PYTHON) \
+	  $(filter $(1) $(1)/%,$(WISHES)); \
 	$$(MAKE) -f "$$(BUILD)/$(1)/plan.mk"
 endef
 $(foreach name,$(NAMES),$(eval $(call scene,$(name))))
 
 plan: setup
-	@$(PYTHON) -m lib.plan --show --data "$(DATA)" --build "$(BUILD)"
+	@$(PYTHON) -m lib.planning.plan --show --data "$(DATA)" --build "$(BUILD)"
 
 test: setup
 	$(PYTHON) -m pytest
 
 bench: setup .venv/ready-bench
-	$(PYTHON) tests/bench.py
+	$(PYTHON) -m tests.bench
 
 .venv/ready-bench: requirements-bench.lock | setup
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r $< || echo "pottslab: not installed; its measured energies stand for it" >&2
+	@$(PYTHON) $(INSTALL) $< \
+	  || echo "pottslab: not installed; its measured energies stand for it" >&2
 	@touch $@
 
 doctor: setup
-	@$(PYTHON) -m lib.doctor
+	@$(PYTHON) -m lib.planning.doctor
 
 # Synthetic scenes are committed; only to make them again is Mitsuba needed, which has an environment of its own.
 # The command line of each stands in its origin.md.  ONLY=office for one of them.
@@ -86,7 +90,9 @@ setup: .venv/ready
 .venv/ready: requirements.lock
 	@missing=; \
 	if command -v dpkg-query >/dev/null; then \
-	  for p in $(DEBIAN); do dpkg-query -W -f '$${Status}' $$p 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$p"; done; \
+	  for p in $(DEBIAN); do \
+	    dpkg-query -W -f '$${Status}' $$p 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$p"; \
+	  done; \
 	fi; \
 	if [ -n "$$missing" ]; then \
 	  sudo=; [ "$$(id -u)" = 0 ] || sudo='sudo -n'; \
@@ -98,12 +104,13 @@ setup: .venv/ready
 	  else echo "not root, and no sudo: going on without; apt-get install$$missing" >&2; fi; \
 	fi
 	@echo 'Python packages, from requirements.lock into .venv'
-	@$(PYTHON3) -c 'import sys; sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]} (PYTHON3=... names another)" if sys.version_info < (3, 11) else 0)'
+	@$(PYTHON3) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else \
+	  f"Python 3.11 or newer is needed, this is {sys.version.split()[0]} (PYTHON3=... names another)")'
 	$(PYTHON3) -m venv .venv
-	$(PYTHON) -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements.lock
+	$(PYTHON) $(INSTALL) requirements.lock
 	@touch $@
 
 .venv-scenes/ready: requirements-scenes.lock
 	$(PYTHON3) -m venv .venv-scenes
-	.venv-scenes/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-scenes.lock
+	.venv-scenes/bin/python $(INSTALL) requirements-scenes.lock
 	@touch $@

@@ -10,36 +10,35 @@ writes  camera, camera_right    with boards: mrcal's models, in the left camera'
         corners       mrcal's corners, of what was found (empty without boards)
         calibration   how far they can be trusted: uncertainty, cross-validation, verdict (data/FORMATS.md)
 """
-import argparse
+
 import sys
 import tempfile
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = stage.parser(
+        __doc__, may_read="photograph photograph_right", writes="camera camera_right corners calibration"
+    )
     parser.add_argument("--boards", help="a folder")
     parser.add_argument("--board", type=stage.json_option, help="its inner corners across and down, and its squares")
     parser.add_argument("--lens", type=stage.json_option, default='"LENSMODEL_OPENCV8"', help="what mrcal fits")
-    parser.add_argument("--photograph")
-    parser.add_argument("--photograph-right")
-    for name in ("camera", "camera-right", "corners", "calibration"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--report")
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
     files = sorted(p for p in Path(opt.boards).iterdir() if p.is_file()) if opt.boards else []
-    with Report(opt.report, inputs=[*files, opt.photograph, opt.photograph_right], arguments=vars(opt)) as report:
+    with Report.of(opt, files) as report:
         with report.excluded("imports"):
-            import cv2                                             # noqa: F401  where lib/ imports late
-            from lib import artefact, calibration
+            import cv2  # noqa: F401  where lib/ imports late
+
+            from lib.core import artefact
+            from lib.vision import calibration
 
         photographs = (opt.photograph, opt.photograph_right) if opt.photograph and opt.photograph_right else None
         with tempfile.TemporaryDirectory(prefix="calibrate-") as scratch:

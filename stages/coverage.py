@@ -6,60 +6,53 @@
 
 reads   model, camera
         facet         the index buffer: index + 1, 0 = nothing there
-writes  coverage      for the P pixels that are not wholly of their own facet: pixel (P,) = y width + x, start (P + 1,);
-                      facet (S,) from 0 and count (S,): pixel i shows count[k] / 64 of facet[k], start[i] <= k < start[i + 1];
-                      what is missing from 64 shows nothing
+writes  coverage      for the P pixels that are not wholly of their own facet: pixel (P,) = y width + x,
+                      start (P + 1,); facet (S,) from 0 and count (S,): pixel i shows count[k] / 64 of facet[k] for
+                      start[i] <= k < start[i + 1]; what is missing from 64 shows nothing
 """
-import argparse
+
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("model", "camera", "facet", "coverage"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--report")
-    parser.add_argument("--method", choices=("opengl", "rays"), default="opengl",
-                        help="the whole picture drawn 8 times as fine, or rays at its edges; the same but for rounding")
+    parser = stage.parser(__doc__, reads="model camera facet", writes="coverage")
+    parser.add_argument(
+        "--method", choices=("opengl", "rays"), default="opengl", help="opengl turns to rays where there is no EGL"
+    )
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
-    with Report(opt.report, inputs=[opt.model, opt.camera, opt.facet], arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
-            import cv2                                             # noqa: F401  where lib/ imports late
-            import numpy as np
-            import scipy.sparse.csgraph                            # noqa: F401
-            from lib import artefact, cameras, image, index_buffer, model as models
+            import cv2  # noqa: F401  here, where it counts as an import; lib/ imports it late
+            import scipy.sparse.csgraph  # noqa: F401  the same
 
-        model = models.load(opt.model)
-        camera = cameras.read_cameramodel(opt.camera)
-        facet = image.read_labels(opt.facet) - 1
-        if facet.shape != (camera.height, camera.width):
-            raise stage.BadInput(f"{opt.facet}: size: {facet.shape[1]} x {facet.shape[0]} is not the camera's {camera.width} x {camera.height} ({opt.camera})")
-        if facet.max() >= model.n_facets:
-            raise stage.BadInput(f"{opt.facet}: value: {facet.max() + 1} is beyond the model's {model.n_facets} facets ({opt.model})")
+            from lib.buffers import coverage, opengl
+            from lib.core import artefact
+            from lib.given.view import View
 
+        view = View.read(camera=opt.camera, model=opt.model, facet=opt.facet)
         method = opt.method
         if method == "opengl":
             try:
                 with report.excluded("imports"):
-                    import moderngl                                # noqa: F401
-                index_buffer.require_graphics()
-            except (ImportError, index_buffer.NoGraphics) as error:
+                    import moderngl  # noqa: F401  the same
+                opengl.require_graphics()
+            except (ImportError, opengl.NoGraphics) as error:
                 report.warning(f"no OpenGL ({error}): rays instead")
                 method = "rays"
         if method == "rays":
             with report.excluded("imports"):
-                import open3d                                      # noqa: F401
+                import open3d  # noqa: F401  the same
         with report.timing("coverage"):
-            arrays = index_buffer.coverage(model, camera, facet, method)
+            arrays = coverage.coverage(view.model, view.camera, view.facet, method)
         report["method"] = method
         report["mixed_pixels"] = len(arrays["pixel"])
         artefact.write_npz(opt.coverage, **arrays)

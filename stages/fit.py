@@ -7,106 +7,147 @@
 reads   gather        the light of each tile of trusted pixels
         formfactors   the balance between the patches
         lamps         emittance per channel, or "unknown"; reference: known reflectances
-        audit         the light of all pixels: whether a group is diffuse; and model, camera, photograph, facet, read only if one is not
-writes  materials     per group: its kind, rho_d, rho_s, alpha, tangent with sigma; lamps; transfer function; beside it textures/ if a group has one
+        audit         the light of all pixels: whether a group is diffuse
+        model, camera, photograph, facet: read only if one is not
+writes  materials     per group: its kind, rho_d, rho_s, alpha, tangent with sigma; lamps; transfer function;
+                      beside it textures/ if a group has one
+        specular      how light goes past mirrors and glossy surfaces, only if there are any
+        mirror        what the pixels of mirrors show, only if there is one
 """
-import argparse
+
 import os
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("gather", "formfactors", "materials"):
-        parser.add_argument(f"--{name}", required=True)
-    for name in ("audit", "model", "camera", "photograph", "facet"):
-        parser.add_argument(f"--{name}", help="of all five; without them every group is diffuse" if name == "audit" else None)
-    parser.add_argument("--report")
+    parser = stage.parser(
+        __doc__,
+        reads="gather formfactors",
+        may_read="audit model camera photograph facet",
+        writes="materials",
+        may_write="specular mirror",
+    )
     parser.add_argument("--lamps", type=stage.json_option, required=True)
     parser.add_argument("--reference", type=stage.json_option, default={})
     parser.add_argument("--transfer", type=stage.json_option, default=None, help="default: gamma, linear for EXR")
     parser.add_argument("--surfaces", type=stage.json_option, default={})
     parser.add_argument("--method", choices=["gauss-newton", "paper", "damped"], default="gauss-newton")
     parser.add_argument("--gamma", type=float, default=2.2, help="where an unknown gamma starts")
-    parser.add_argument("--threshold", type=float, default=0.0125, help="display RMSE beyond noise that a group may keep before it climbs the ladder")
-    parser.add_argument("--lobe-rays", type=int, default=256, help="rays in the lobe of each tile of a glossy surface")
-    parser.add_argument("--max-iterations", type=int, default=40)
-    parser.add_argument("--tolerance", type=float, default=1e-5, help="largest relative change of a value in the last step")
+    parser.add_argument(
+        "--threshold",
+        type=stage.real(0, open_low=True),
+        default=0.0125,
+        help="display RMSE beyond noise that a group may keep before it climbs the ladder",
+    )
+    parser.add_argument(
+        "--lobe-rays", type=stage.whole(1), default=256, help="in the lobe of each tile of a glossy surface"
+    )
+    parser.add_argument("--max-iterations", type=stage.whole(0), default=40)
+    parser.add_argument(
+        "--tolerance", type=float, default=1e-5, help="largest relative change of a value in the last step"
+    )
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
-    if not opt.threshold > 0 or not opt.threshold < float("inf"):
-        raise stage.BadInput(f"--threshold: {opt.threshold} is not a positive number")
-    if opt.lobe_rays < 1:
-        raise stage.BadInput(f"--lobe-rays: {opt.lobe_rays} is less than 1")
-    # products with F are short: a second BLAS thread mostly waits (office: 0.47 s of CPU against 1.65 s, the same wall time)
+    # products with F are short: a second BLAS thread mostly waits (office: 0.47 s of CPU against 1.65 s, the same wall
+    # time)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with Report(opt.report, inputs=[opt.gather, opt.formfactors], arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
-            from lib import artefact, form_factors, gather, materials, reflectance
-            import scipy.sparse                                    # noqa: F401
+            import scipy.sparse  # noqa: F401  where lib/ imports late
+
+            from lib.analysis import describe, facts, gather, gauss_newton, paper
+            from lib.analysis.problem import scale as scale_of
+            from lib.given import materials
+            from lib.light import factors_file
         with report.timing("read"):
-            factors = form_factors.read(opt.formfactors)
-            gathered = gather.read(opt.gather)
-            problem = materials.problem(factors, gathered, lamps=opt.lamps, reference=opt.reference, transfer=opt.transfer)
-        climb = textures = None
-        trace = lambda iteration, image_rmse, state: report.trace(iteration=iteration, image_rmse=image_rmse, gamma=state.gamma)
+            factors = factors_file.read(opt.formfactors)
+            found = gather.read(opt.gather)
+            problem = facts.problem_of(factors, found, lamps=opt.lamps, reference=opt.reference, transfer=opt.transfer)
+        trace = lambda iteration, image_rmse, state: report.trace(
+            iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
+        )
+        options = {"max_iterations": opt.max_iterations, "tolerance": opt.tolerance}
+        climb, textures = None, {}
         with report.timing("fit"):
             if opt.method == "gauss-newton":
-                result, scale = reflectance.fit(problem, gamma=opt.gamma, max_iterations=opt.max_iterations, tolerance=opt.tolerance, trace=trace)
-                problem, result, scale, climb, textures = climbed(opt, report, problem, result, scale, factors, gathered)
+                result, scale = gauss_newton.fit(problem, gamma=opt.gamma, trace=trace, **options)
+                if ascent := climbed(opt, report, problem, result, scale, factors, found, options):
+                    (climb, textures) = ascent
+                    problem, result, scale = climb.problem, climb.result, climb.scale
             else:
-                result = reflectance.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
-                scale = reflectance.scale(problem)
-        found = materials.describe(problem, result, gathered, scale=scale, transfer=opt.transfer, climb=climb, textures=textures)
-        report.status = found["status"]
+                result = paper.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
+                scale = scale_of(problem)
+        described = describe.describe(
+            problem, result, found, scale=scale, transfer=opt.transfer, climb=climb, textures=textures
+        )
+        report.status = described.status
         report["scale"], report["iterations"] = scale, result.iterations
         report["uncertainty"], report["misfit"] = result.shares, result.misfit
-        for warning in result.warnings + materials.warnings(problem, result, found, gathered):
+        for warning in result.warnings + describe.warnings(problem, result, described, found):
             report.warning(warning)
-        report.error("image.rmse", found["image"]["rmse"], unit="display", against="the photograph's tiles")
+        report.error("image.rmse", described.image.rmse, unit="display", against="the photograph's tiles")
         report.error("balance.residual", result.residual, unit="1", against="eq. 3.2")
-        artefact.write_json(opt.materials, found)
+        materials.write(opt.materials, described)
 
 
-def climbed(opt, report, problem, result, scale, factors, gathered):
-    """The ladder: nothing but an audit where every group is diffuse. -> problem, result, scale, ladder.Climb, textures"""
-    from lib import form_factors, gather, ladder, receivers, rungs
-    files = {name: getattr(opt, name) for name in ("audit", "model", "camera", "photograph", "facet")}
-    if not all(files.values()) or len(problem.tile_group) == 0:
-        return problem, result, scale, None, None
+def climbed(opt, report, problem, result, scale, factors, found, options):
+    """The ladder: (Climb, {group: Textured}), or None, after an audit alone, where every group is diffuse."""
+    from lib.analysis import gather, misfits
+    from lib.analysis.receivers import unplaced
+
+    files = {name: getattr(opt, name) for name in ("camera", "model", "photograph", "facet")}
+    if not opt.audit or not all(files.values()) or len(problem.tile_group) == 0:
+        return None
     audit = gather.read(opt.audit)
-    if len(audit.visible) != len(problem.groups) or audit.tiles.rows.columns != len(problem.area):
-        raise stage.BadInput(f"{opt.audit}: groups, patches: {len(audit.visible)}, {audit.tiles.rows.columns} are not those of {opt.formfactors}")
+    held = len(audit.visible), audit.tiles.rows.columns
+    if held != (len(problem.groups), len(problem.area)):
+        raise stage.BadInput(f"{opt.audit}: groups, patches: {held[0]}, {held[1]} are not those of {opt.formfactors}")
     given = {problem.groups.index(name): kind for name, kind in opt.surfaces.items()}
-    misfits, _ = rungs.audit(factors.subcell(), problem, result, receivers.unplaced(audit))
-    named = lambda found: {problem.groups[g]: value for g, value in found.items()}
-    report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": named({g: m.excess for g, m in misfits.items() if m.judged}), "rays": {}, "rounds": 0}
-    if not ladder.flagged(problem, misfits, given, opt.threshold):
-        ladder.doubt(problem, result, misfits, opt.threshold, given)
-        return problem, result, scale, None, None
+    judged, _ = misfits.audit(factors.subcell(), problem, result, unplaced(audit))
+    excess = {problem.groups[g]: m.excess for g, m in judged.items() if m.judged}
+    report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": excess, "rays": {}, "rounds": 0}
+    if not misfits.flagged(problem, judged, given, opt.threshold):
+        misfits.doubt(problem, result, judged, opt.threshold, given)
+        return None
     with report.excluded("compile"):
-        from lib import specular
-        form_factors.warm_up()
-        specular.warm_up()
-    site = receivers.read_site(files, opt.formfactors, factors, problem, gathered, audit, lobe_rays=opt.lobe_rays)
-    climb = ladder.climb(site, result, scale, given=given, threshold=opt.threshold,
-                         trace=lambda c: report.trace(round=c.rounds, image_rmse=c.result.rmse, gamma=c.result.state.gamma),
-                         options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance})
-    if site.lost > 0.01:
-        report.warning(f"{site.lost:.0%} of the light is still between mirrors after {specular.DEPTH} of them: rooms of mirrors are too dark")
-    ladder.doubt(climb.problem, climb.result, climb.misfits, opt.threshold, given, climb.places)
-    textures = rungs.write_textures(site, climb, Path(opt.materials).parent)
-    summary |= {"rays": site.spent, "rounds": climb.rounds, "end": named({g: m.excess for g, m in climb.misfits.items() if m.judged}),
-                "rungs": named({g: p.rung for g, p in climb.places.items() if p.rung != "diffuse"})}
-    return climb.problem, climb.result, climb.scale, climb, textures
+        from lib.analysis import ascent
+        from lib.given.view import View
+        from lib.light import factors_file
+
+        ascent.warm_up()
+    view = View.read(**files)
+    factors_file.check(factors, opt.formfactors, view.model, opt.model)
+    done = ascent.ascend(
+        view,
+        factors,
+        problem,
+        result,
+        scale,
+        found,
+        audit,
+        lobe_rays=opt.lobe_rays,
+        given=given,
+        threshold=opt.threshold,
+        trace=lambda round, step, fitted: report.trace(
+            round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
+        ),
+        options=options,
+    )
+    for warning in ascent.warnings(done):
+        report.warning(warning)
+    climb = done.climb
+    misfits.doubt(climb.problem, climb.result, climb.misfits, opt.threshold, given, climb.places)
+    textures = ascent.write_files(done, Path(opt.materials).parent, opt.specular, opt.mirror)
+    summary |= ascent.summary(done)
+    return climb, textures
 
 
 if __name__ == "__main__":

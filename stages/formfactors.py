@@ -7,87 +7,107 @@ reads   model         triangles, facets, groups
         lamps         the names of the groups that emit
 writes  formfactors   patches, sparse rows of F, lamp factors: good for as long as the geometry stands
 """
-import argparse
+
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--model", required=True)
+    parser = stage.parser(__doc__, reads="model", writes="formfactors")
     parser.add_argument("--lamps", type=stage.json_option, required=True, help="JSON list of group names")
-    parser.add_argument("--formfactors", required=True)
-    parser.add_argument("--report")
     parser.add_argument("--method", choices=["rays", "hemicube", "analytic"], default="rays")
-    parser.add_argument("--patches", type=int, default=300, help="root cells, if all had equal area")
-    parser.add_argument("--max-level", type=int, default=5, help="times a root cell may be halved")
-    parser.add_argument("--contrast", type=float, default=0.01, help="unevenness of light that splits a cell")
-    parser.add_argument("--rays", type=int, default=512, help="rays per patch")
-    parser.add_argument("--hemicube-px", type=int, default=128, help="edge of the hemicube")
+    parser.add_argument("--patches", type=stage.whole(1), default=300, help="root cells, if all had equal area")
+    parser.add_argument("--max-level", type=stage.whole(0, 10), default=5, help="times a root cell may be halved")
+    parser.add_argument(
+        "--contrast", type=stage.real(0, open_low=True), default=0.01, help="unevenness of light that splits a cell"
+    )
+    parser.add_argument("--rays", type=stage.whole(1), default=512, help="per patch")
+    parser.add_argument("--hemicube-px", type=stage.whole(1), default=128, help="edge of the hemicube")
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
-    for name in ("patches", "rays", "hemicube_px"):
-        if getattr(opt, name) < 1:
-            raise stage.BadInput(f"--{name.replace('_', '-')}: {getattr(opt, name)} is less than 1")
-    if not 0 < opt.contrast < float("inf") or not 0 <= opt.max_level <= 10:
-        raise stage.BadInput(f"--contrast, --max-level: {opt.contrast}, {opt.max_level} are outside (0, inf), [0, 10]")
-    with Report(opt.report, inputs=[opt.model], arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
             import numpy as np
-            from lib import form_factors, mesh as meshes, model as models
+
+            from lib.given import model as models
+            from lib.light import adapt, factors_file, small_room
+            from lib.light import lamps as lamps_
+            from lib.light import surface as surfaces
         with report.excluded("compile"):
-            form_factors.warm_up()
+            small_room.warm_up()
         model = models.load(opt.model)
         absent = [name for name in opt.lamps if name not in model.groups]
         if absent:
-            raise stage.BadInput(*(f"{opt.model}: lamps: group {name!r} is not in the model (it has {', '.join(model.groups)})" for name in absent))
+            raise stage.BadInput(
+                *(
+                    f"{opt.model}: lamps: group {name!r} is not in the model (it has {', '.join(model.groups)})"
+                    for name in absent
+                )
+            )
 
         with report.timing("patches"):
-            surface = meshes.surface(model, opt.lamps)
-            lamps = form_factors.emitters(surface, opt.lamps)
+            surface = surfaces.surface(model, opt.lamps)
+            lamps = lamps_.emitters(surface, opt.lamps)
             try:
-                mesh = meshes.build(surface, patches=opt.patches, max_level=opt.max_level, contrast=opt.contrast, emitters=lamps)
+                mesh = adapt.build(
+                    surface, patches=opt.patches, max_level=opt.max_level, contrast=opt.contrast, emitters=lamps
+                )
             except ValueError as error:
                 raise stage.BadInput(f"{opt.model}: facets: {error}") from None
         with report.timing("factors"):
             rows = rows_by(opt, surface, mesh)
         with report.timing("lamps"):
-            factor = form_factors.patch_direct(surface, mesh, lamps, len(opt.lamps), n_points=32)
+            factor = lamps_.patch_direct(surface, mesh, lamps, len(opt.lamps), n_points=32)
 
         group = surface.group[mesh.side // 2]
-        area = np.bincount(surface.group, meshes.facet_areas(surface), minlength=len(model.groups)) * surface.local.diagonal ** 2
-        factors = form_factors.Factors(mesh, rows, factor, tuple(opt.lamps), group, model.groups, area, surface.local.diagonal)
+        area = (
+            np.bincount(surface.group, surfaces.facet_areas(surface), minlength=len(model.groups))
+            * surface.local.diagonal**2
+        )
+        factors = factors_file.FormFactors(
+            mesh, rows, factor, tuple(opt.lamps), group, model.groups, area, surface.local.diagonal
+        )
         report["patches"] = len(mesh)
         report["occluders"] = surface.n_occluders
         report["solids"] = int(np.unique(surface.object[np.flatnonzero(surface.inside) // 2]).size)
         report["rays"] = int(rows.shot.sum())
         sums = rows.row_sums
-        report["patches_that_see_nothing"] = int((sums == 0).sum())      # in a solid, or lying on another facet
+        report["patches_that_see_nothing"] = int((sums == 0).sum())  # in a solid, or lying on another facet
         sums = sums[sums > 0]
-        report.error("row_sum.max_excess", float(max(sums.max() - 1, 0)), unit="1", against="1 in a closed scene, before any normalisation")
+        report.error(
+            "row_sum.max_excess",
+            float(max(sums.max() - 1, 0)),
+            unit="1",
+            against="1 in a closed scene, before any normalisation",
+        )
         report.error("row_sum.largest_opening", float(max(1 - sums.min(), 0)), unit="1", against="0 in a closed scene")
         report.error("rays.lost", float(rows.lost.sum() / max(rows.shot.sum(), 1)), unit="1", against="0")
-        report.error("reciprocity.rms", reciprocity(factors), unit="sigma of the sampling", against="A_i F_ij = A_j F_ji")
-        form_factors.write(opt.formfactors, factors)
+        report.error(
+            "reciprocity.rms", reciprocity(factors), unit="sigma of the sampling", against="A_i F_ij = A_j F_ji"
+        )
+        factors_file.write(opt.formfactors, factors)
 
 
 def rows_by(opt, surface, mesh):
-    from lib import form_factors
+    from lib.light import form_factors
+
     try:
         if opt.method == "hemicube":
-            from lib import hemicube
+            from lib.light import hemicube
+
             return hemicube.rows(surface, mesh, resolution=opt.hemicube_px)
         if opt.method == "analytic":
-            from lib import exact_factors
+            from lib.light import exact_factors
+
             rows = exact_factors.rows(surface, mesh)
-            return rows if isinstance(rows, form_factors.Rows) else form_factors.Rows.dense(rows)
+            return rows if isinstance(rows, form_factors.FormFactorRows) else form_factors.FormFactorRows.dense(rows)
     except (ValueError, RuntimeError) as error:
         raise stage.BadInput(f"{opt.model}: --method {opt.method}: {error}") from None
     return form_factors.rays(surface, mesh, n_rays=opt.rays, progress=stage.Bar("form factors"))
@@ -96,6 +116,7 @@ def rows_by(opt, surface, mesh):
 def reciprocity(factors):
     """Root mean square of A_i F_ij - A_j F_ji over the standard deviation that ray counts allow."""
     import numpy as np
+
     A = factors.area
     F = factors.rows.matrix()
     n = np.maximum(factors.rows.valid, 1)
@@ -105,8 +126,8 @@ def reciprocity(factors):
     column = S.indices
     difference = np.asarray((K - K.T).tocsr()[row, column]).ravel()
     p = S.data / 2
-    variance = p * (A[row] / n[row] + A[column] / n[column])      # of counts: A_i^2 F_ij / n_i
-    return float(np.sqrt(np.mean(difference ** 2 / np.maximum(variance, 1e-300)))) if len(p) else 0.0
+    variance = p * (A[row] / n[row] + A[column] / n[column])  # of counts: A_i^2 F_ij / n_i
+    return float(np.sqrt(np.mean(difference**2 / np.maximum(variance, 1e-300)))) if len(p) else 0.0
 
 
 if __name__ == "__main__":

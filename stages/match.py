@@ -7,36 +7,37 @@
 reads   photographs, regions, cameras (pinholes, extrinsics in one frame)
 writes  matches        left_label,right_label,similarity: one to one, best first; what has no partner is left out
 """
-import argparse
+
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("photograph", "photograph-right", "regions", "regions-right", "camera", "camera-right", "matches"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--report")
-    parser.add_argument("--similarity", type=float, default=0.6, help="least similarity of a pair, in (0, 1)")
-    parser.add_argument("--smallest", type=int, default=40, help="px: regions of fewer pixels are not matched")
+    parser = stage.parser(
+        __doc__, reads="photograph photograph_right regions regions_right camera camera_right", writes="matches"
+    )
+    parser.add_argument(
+        "--similarity", type=stage.real(0, 1, open_low=True), default=0.6, help="least similarity of a pair"
+    )
+    parser.add_argument(
+        "--smallest", type=stage.whole(1), default=40, help="px: regions of fewer pixels are not matched"
+    )
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
-    if not 0 < opt.similarity < 1:
-        raise stage.BadInput(f"--similarity: {opt.similarity} is not between 0 and 1")
-    if opt.smallest < 1:
-        raise stage.BadInput(f"--smallest: {opt.smallest} is less than 1")
     paths = (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
-    with Report(opt.report, inputs=[*paths[0], *paths[1], opt.camera, opt.camera_right], arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
-            from lib import artefact, cameras, image, matching      # noqa: F401  what read_pair imports late
-            import cv2                                              # noqa: F401
+            import cv2  # noqa: F401
+
+            from lib.core import artefact
+            from lib.vision import matching  # noqa: F401  what read_pair imports late
         with report.excluded("compile"):
             matching.warm_up()
         with report.timing("read"):
@@ -45,10 +46,17 @@ def main(opt):
             matches = matching.match(pair, *labels, *values, similarity=opt.similarity, smallest=opt.smallest)
 
         report["matched"] = len(matches.left)
-        report["regions"] = {side: int(len(set(x.ravel().tolist()) - {0})) for side, x in zip(("left", "right"), labels)}
-        report["covered"] = {side: matching.share(x, found) for side, x, found in zip(("left", "right"), labels, (matches.left, matches.right))}
-        report["refused"] = {side: {why: len(which) for why, which in refused.items()}
-                             for side, refused in (("left", matches.refused_left), ("right", matches.refused_right))}
+        report["regions"] = {
+            side: int(len(set(x.ravel().tolist()) - {0})) for side, x in zip(("left", "right"), labels)
+        }
+        report["covered"] = {
+            side: matching.share(x, found)
+            for side, x, found in zip(("left", "right"), labels, (matches.left, matches.right))
+        }
+        report["refused"] = {
+            side: {why: len(which) for why, which in refused.items()}
+            for side, refused in (("left", matches.refused_left), ("right", matches.refused_right))
+        }
         report["refused_labels"] = {"left": matches.refused_left, "right": matches.refused_right}
         if len(matches.left) == 0:
             report.status = "nothing matched"

@@ -8,48 +8,66 @@ reads   photograph, photograph_right, lens_camera, lens_camera_right    pinholes
 writes  camera, camera_right    the left one at the origin
         orientation   "unit": "baseline", rt_right_left, covariance, inliers, matches, rms_px, angle_deg, planar, other
 """
-import argparse
+
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("photograph", "photograph-right", "lens-camera", "lens-camera-right", "camera", "camera-right", "orientation"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--report")
+    parser = stage.parser(
+        __doc__,
+        reads="photograph photograph_right lens_camera lens_camera_right",
+        writes="camera camera_right orientation",
+    )
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
     photographs, lenses = (opt.photograph, opt.photograph_right), (opt.lens_camera, opt.lens_camera_right)
-    with Report(opt.report, inputs=[*photographs, *lenses], arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
             import dataclasses
-            import cv2                                             # noqa: F401  where lib/ imports late
+
+            import cv2  # noqa: F401  where lib/ imports late
             import numpy as np
-            import pycolmap                                        # noqa: F401
-            from lib import artefact, boards, cameras, orientation
+            import pycolmap  # noqa: F401
+
+            from lib.core import artefact
+            from lib.given import cameras
+            from lib.vision import boards, orientation
 
         pair = [dataclasses.replace(cameras.read_cameramodel(path), T_cam_world=np.eye(4)) for path in lenses]
         grey = [boards.grey8(path) for path in photographs]
         for path, picture, camera in zip(photographs, grey, pair):
             if picture.shape != (camera.height, camera.width):
-                raise stage.BadInput(f"{path}: size: {picture.shape[1]} x {picture.shape[0]} is not the camera's {camera.width} x {camera.height}")
+                raise stage.BadInput(
+                    f"{path}: size: {picture.shape[1]} x {picture.shape[0]} is not the camera's {camera.width} x {camera.height}"
+                )
         with report.timing("match"):
             q = orientation.match(*grey)
         with report.timing("pose"):
             pose = orientation.relative_pose(*pair, *q, names=" and ".join(photographs))
         if pose.planar:
-            report.warning("the matches lie on one plane" + (": two poses explain them, and the other is listed in orientation.json" if pose.other is not None else ""))
-        if pose.inlier.mean() < 0.5:                                   # a pattern that repeats: the wrong pose may agree with itself
-            report.warning(f"only {pose.inlier.sum()} of {len(q[0])} matches agree with the pose: it may be another one")
-        turn, direction = (float(np.degrees(np.sqrt(np.trace(block)))) for block in (pose.covariance[:3, :3], pose.covariance[3:, 3:]))
+            report.warning(
+                "the matches lie on one plane"
+                + (
+                    ": two poses explain them, and the other is listed in orientation.json"
+                    if pose.other is not None
+                    else ""
+                )
+            )
+        if pose.inlier.mean() < 0.5:  # a pattern that repeats: the wrong pose may agree with itself
+            report.warning(
+                f"only {pose.inlier.sum()} of {len(q[0])} matches agree with the pose: it may be another one"
+            )
+        turn, direction = (
+            float(np.degrees(np.sqrt(np.trace(block)))) for block in (pose.covariance[:3, :3], pose.covariance[3:, 3:])
+        )
         report.error("rms", pose.rms_px, unit="px", against="the epipolar constraint")
         report.error("sigma_rotation", turn, unit="degree", against="the matches' noise")
         report.error("sigma_baseline_direction", direction, unit="degree", against="the matches' noise")
@@ -57,9 +75,21 @@ def main(opt):
         with artefact.writing_all(opt.camera, opt.camera_right, opt.orientation) as (left, right, text):
             cameras.write_cameramodel(left, pair[0])
             cameras.write_cameramodel(right, pair[1])
-            artefact.write_json(text, {"unit": "baseline", "rt_right_left": pose.rt_right_left, "covariance": pose.covariance,
-                                       "inliers": int(pose.inlier.sum()), "matches": len(q[0]), "rms_px": pose.rms_px, "parallax_px": pose.parallax_px,
-                                       "angle_deg": pose.angle_deg, "planar": pose.planar, "other": pose.other})
+            artefact.write_json(
+                text,
+                {
+                    "unit": "baseline",
+                    "rt_right_left": pose.rt_right_left,
+                    "covariance": pose.covariance,
+                    "inliers": int(pose.inlier.sum()),
+                    "matches": len(q[0]),
+                    "rms_px": pose.rms_px,
+                    "parallax_px": pose.parallax_px,
+                    "angle_deg": pose.angle_deg,
+                    "planar": pose.planar,
+                    "other": pose.other,
+                },
+            )
 
 
 if __name__ == "__main__":

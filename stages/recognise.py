@@ -12,27 +12,37 @@ writes  posed, posed-right   the cameras in the model's frame
         pose            rt_cam_world, its covariance (6, 6) of (omega, tau): T = exp(omega, tau) T_hat along the left camera's axes, rad and m;
                         matches, trace, ambiguous
 """
-import argparse
+
 import sys
 import time
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("facets", "model", "photograph", "photograph-right", "regions", "regions-right", "camera", "camera-right", "posed", "posed-right", "pose"):
-        parser.add_argument(f"--{name}", required=True)
-    for name in ("orientation", "calibration", "report"):
-        parser.add_argument(f"--{name}")
-    parser.add_argument("--method", choices=("edges", "paper"), default="edges", help="of the refinement: edges at sub-pixel by a trust region, or the paper's gradient on vertices")
-    parser.add_argument("--lens-px", default="auto", help="how well the cameras' own projections are known, px: it goes into the covariance; auto: by the calibration, else 0.1")
+    parser = stage.parser(
+        __doc__,
+        reads="facets model photograph photograph_right regions regions_right camera camera_right",
+        may_read="orientation calibration",
+        writes="posed posed_right pose",
+    )
+    parser.add_argument(
+        "--method",
+        choices=("edges", "paper"),
+        default="edges",
+        help="of the refinement: edges at sub-pixel by a trust region, or the paper's gradient on vertices",
+    )
+    parser.add_argument(
+        "--lens-px",
+        default="auto",
+        help="how well the cameras' own projections are known, px: it goes into the covariance; auto: by the calibration, else 0.1",
+    )
     return parser
 
 
-POOR_PX = 0.25         # rms; sharp photographs of an exact model stay at 0.06 to 0.15
+POOR_PX = 0.25  # rms; sharp photographs of an exact model stay at 0.06 to 0.15
 
 
 def known_px(word, calibration):
@@ -49,27 +59,46 @@ def known_px(word, calibration):
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
-    inputs = [opt.facets, opt.model, opt.photograph, opt.photograph_right, opt.regions, opt.regions_right, opt.camera, opt.camera_right, opt.orientation, opt.calibration]
-    with Report(opt.report, inputs=inputs, arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
-            import numpy as np
-            import cv2, open3d                                      # noqa: F401, E401  where lib/ imports late
-            from lib import artefact, cameras, image, model as models, recognition, refinement
+            import cv2  # noqa: F401, E401  where lib/ imports late
+
+            from lib.core import artefact
+            from lib.given import cameras, image
+            from lib.given import model as models
+            from lib.vision.recognition import hashing
+            from lib.vision.recognition import recognise as recognition
+            from lib.vision.refinement import pose as refinement
+            from lib.vision.refinement import rig
         with report.excluded("compile"):
             recognition.warm_up()
         with report.timing("read"):
             model = models.load(opt.model)
-            scene = recognition.read_facets(opt.facets)
-            sides = [refinement.Side(cameras.read_cameramodel(camera), image.read_photograph(photograph), image.read_labels(regions))
-                     for camera, photograph, regions in ((opt.camera, opt.photograph, opt.regions), (opt.camera_right, opt.photograph_right, opt.regions_right))]
-        for side, names in zip(sides, ((opt.photograph, opt.regions, opt.camera), (opt.photograph_right, opt.regions_right, opt.camera_right))):
+            scene = hashing.read_facets(opt.facets)
+            sides = [
+                rig.Side(
+                    cameras.read_cameramodel(camera), image.read_photograph(photograph), image.read_labels(regions)
+                )
+                for camera, photograph, regions in (
+                    (opt.camera, opt.photograph, opt.regions),
+                    (opt.camera_right, opt.photograph_right, opt.regions_right),
+                )
+            ]
+        for side, names in zip(
+            sides,
+            ((opt.photograph, opt.regions, opt.camera), (opt.photograph_right, opt.regions_right, opt.camera_right)),
+        ):
             for path, shape in zip(names, (side.photograph.values.shape, side.regions.shape)):
                 if shape[:2] != (side.camera.height, side.camera.width):
-                    raise stage.BadInput(f"{path}: size: {shape[1]} x {shape[0]} is not the camera's {side.camera.width} x {side.camera.height} ({names[2]})")
+                    raise stage.BadInput(
+                        f"{path}: size: {shape[1]} x {shape[0]} is not the camera's {side.camera.width} x {side.camera.height} ({names[2]})"
+                    )
         if (scene.unit == "baseline") != bool(opt.orientation):
-            raise stage.BadInput(f"{opt.facets}: unit: {scene.unit!r}, but an orientation is {'given' if opt.orientation else 'missing'}: the cameras and the facets disagree about the scale")
+            raise stage.BadInput(
+                f"{opt.facets}: unit: {scene.unit!r}, but an orientation is {'given' if opt.orientation else 'missing'}: the cameras and the facets disagree about the scale"
+            )
 
         with report.timing("recognise"):
             found = recognition.recognise(scene, model, sides[0].camera)
@@ -78,31 +107,59 @@ def main(opt):
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}")
         zero = [now - past for now, past in zip((time.process_time(), time.perf_counter()), report.clocks())]
         with report.timing("refine"):
-            result = refinement.refine(model, sides, found, scene.labels, method=opt.method,
-                                       lens_px=known_px(opt.lens_px, artefact.read_json(opt.calibration) if opt.calibration else None))
+            result = refinement.refine(
+                model,
+                sides,
+                found,
+                scene.labels,
+                method=opt.method,
+                lens_px=known_px(opt.lens_px, artefact.read_json(opt.calibration) if opt.calibration else None),
+            )
         if result.status == "not recognised":
-            raise stage.BadInput(f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that pose's edges")
+            raise stage.BadInput(
+                f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that pose's edges"
+            )
         for step in result.trace:
-            report.trace(**{k: v for k, v in step.items() if k != "rt_cam_world"} | {"cpu_s": step["cpu_s"] - zero[0], "wall_s": step["wall_s"] - zero[1]})
+            report.trace(
+                **{k: v for k, v in step.items() if k != "rt_cam_world"}
+                | {"cpu_s": step["cpu_s"] - zero[0], "wall_s": step["wall_s"] - zero[1]}
+            )
         report.error("edges", result.rms_px, unit="px", against="sub-pixel edges of the photographs")
         if result.rms_px and result.rms_px > POOR_PX:
-            report.warning(f"{opt.photograph}: the model's edges lie {result.rms_px:.2f} px rms from the photographs': lenses, relative pose or model are not exact, and the pose may be worse than its covariance says")
+            report.warning(
+                f"{opt.photograph}: the model's edges lie {result.rms_px:.2f} px rms from the photographs': lenses, relative pose or model are not exact, and the pose may be worse than its covariance says"
+            )
         report["edges_found"], report["edges_found_by_chance"] = result.support, result.chance
         if result.evidence < refinement.PROOF:
-            report.warning(f"{opt.photograph}: only {100 * result.support:.0f} % of the edges that the model predicts are found: the pose is poor, or the model is not what is seen")
+            report.warning(
+                f"{opt.photograph}: only {100 * result.support:.0f} % of the edges that the model predicts are found: the pose is poor, or the model is not what is seen"
+            )
         report.status = result.status
         if result.status == "ambiguous":
             least = "at least " if len(found.poses) > refinement.MOST else ""
-            report.warning(f"{opt.model}: {least}{len(result.ambiguous)} other poses explain the facets as well: see ambiguous in {opt.pose}")
+            report.warning(
+                f"{opt.model}: {least}{len(result.ambiguous)} other poses explain the facets as well: see ambiguous in {opt.pose}"
+            )
         pair = [cameras.rt_from_matrix(camera.T_cam_world) for camera in result.cameras]
         with artefact.writing_all(opt.posed, opt.posed_right, opt.pose) as partials:
             for partial, camera in zip(partials, result.cameras):
                 cameras.write_cameramodel(partial, camera)
-            artefact.write_json(partials[2], {
-                "status": result.status, "rt_cam_world": pair[0], "scale": result.scale if scene.unit == "baseline" else None,
-                "covariance": result.covariance, "perturbation": "T = exp(omega, tau) T_hat, left camera's axes, rad and m",
-                "matches": [{"left_label": int(scene.labels[i, 0]), "facet": int(f)} for i, f in found.poses[result.chosen].matches],
-                "trace": [{k: v for k, v in step.items() if k not in ("cpu_s", "wall_s")} for step in result.trace], "ambiguous": result.ambiguous})
+            artefact.write_json(
+                partials[2],
+                {
+                    "status": result.status,
+                    "rt_cam_world": pair[0],
+                    "scale": result.scale if scene.unit == "baseline" else None,
+                    "covariance": result.covariance,
+                    "perturbation": "T = exp(omega, tau) T_hat, left camera's axes, rad and m",
+                    "matches": [
+                        {"left_label": int(scene.labels[i, 0]), "facet": int(f)}
+                        for i, f in found.poses[result.chosen].matches
+                    ],
+                    "trace": [{k: v for k, v in step.items() if k not in ("cpu_s", "wall_s")} for step in result.trace],
+                    "ambiguous": result.ambiguous,
+                },
+            )
 
 
 if __name__ == "__main__":

@@ -8,54 +8,65 @@ reads   photographs, regions, cameras (pinholes, extrinsics in one frame), match
 writes  facets         planes, polygons, covariances in the left camera's frame, and what was refused, and why
         mesh           the same to look at
 """
-import argparse
+
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("photograph", "photograph-right", "regions", "regions-right", "camera", "camera-right", "matches", "facets", "mesh"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--orientation", help="orientation.json: the unit is the baseline where it says so")
-    parser.add_argument("--report")
+    parser = stage.parser(
+        __doc__,
+        reads="photograph photograph_right regions regions_right camera camera_right matches",
+        may_read="orientation",
+        writes="facets mesh",
+    )
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
     paths = (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
-    with Report(opt.report, inputs=[*paths[0], *paths[1], opt.camera, opt.camera_right, opt.matches, opt.orientation], arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
-            from lib import artefact, cameras, image, facets, matching      # noqa: F401  what read_pair imports late
-            import cv2                                                      # noqa: F401
-            import mapbox_earcut                                            # noqa: F401
+            import cv2  # noqa: F401
+            import mapbox_earcut  # noqa: F401
+
+            from lib.core import artefact
+            from lib.vision import matching
+            from lib.vision.facets import facets_file  # noqa: F401  what read_pair imports late
+            from lib.vision.facets import planes as facets
         with report.excluded("compile"):
             facets.warm_up()
         with report.timing("read"):
             pair, values, labels = matching.read_pair(opt.camera, opt.camera_right, *paths)
             left, right = matching.read(opt.matches, *labels)
-            unit = facets.unit_of(opt.orientation)
+            unit = facets_file.unit_of(opt.orientation)
         with report.timing("reconstruct"):
-            found, refused, sigma_side = facets.reconstruct(pair, labels, values, left, right, progress=stage.Bar("facets"))
+            found, refused, sigma_side = facets.reconstruct(
+                pair, labels, values, left, right, progress=stage.Bar("facets")
+            )
 
-        report["facets"], report["refused"] = len(found), facets.reasons(refused)
+        report["facets"], report["refused"] = len(found), facets_file.reasons(refused)
         report["covered"] = matching.share(labels[0], [x.left_label for x in found])
         report["unit"] = unit
         if not found:
             report.status = "nothing reconstructed"
-            why = "; ".join(f"{n} x {reason}" for reason, n in facets.reasons(refused).items())
-            report.warning(f"{opt.matches}: none of its {len(left)} pairs gives a plane: {why}" if len(left) else f"{opt.matches}: no matched regions, so no planes")
+            why = "; ".join(f"{n} x {reason}" for reason, n in facets_file.reasons(refused).items())
+            report.warning(
+                f"{opt.matches}: none of its {len(left)} pairs gives a plane: {why}"
+                if len(left)
+                else f"{opt.matches}: no matched regions, so no planes"
+            )
         else:
-            report.error("border_rms", facets.median_rms(found), unit="px", against="right borders")
-            report.error("distance_sigma", facets.median_sigma(found), unit="1", against="its own covariance")
+            report.error("border_rms", facets_file.median_rms(found), unit="px", against="right borders")
+            report.error("distance_sigma", facets_file.median_sigma(found), unit="1", against="its own covariance")
         with artefact.writing_all(opt.facets, opt.mesh) as (partial, mesh):
-            artefact.write_json(partial, facets.describe(found, refused, unit))
-            facets.write_ply(mesh, found, facets.colours(labels[0], values[0], found))
+            artefact.write_json(partial, facets_file.describe(found, refused, unit))
+            facets_file.write_ply(mesh, found, facets_file.colours(labels[0], values[0], found))
 
 
 if __name__ == "__main__":

@@ -9,12 +9,12 @@ writes  regions, regions_right         labels from 1, each one 4-connected regio
                                        under the same name but .tif, and the .png is a link to it, for Make and the stages below
 The report holds lambda, one for both photographs, and each side's energy and number of regions.
 """
-import argparse
+
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def cost(text):
@@ -24,34 +24,40 @@ def cost(text):
     value = float(text)
     if not value >= 0:
         raise ValueError(text)
-    return min(value, sys.float_info.max)                  # .inf: as large as JSON has it
+    return min(value, sys.float_info.max)  # .inf: as large as JSON has it
 
 
 cost.__name__ = "auto or a number from 0"
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--photograph", required=True)
-    parser.add_argument("--photograph-right")
-    parser.add_argument("--regions", required=True)
-    parser.add_argument("--regions-right")
-    parser.add_argument("--report")
-    parser.add_argument("--lambda", dest="weight", type=cost, default="auto", metavar="LAMBDA",
-                        help="cost of one differing neighbour pair, image in [0, 1]; auto: from the noise, texture and size of the photographs")
+    parser = stage.parser(
+        __doc__, reads="photograph", may_read="photograph_right", writes="regions", may_write="regions_right"
+    )
+    parser.add_argument(
+        "--lambda",
+        dest="weight",
+        type=cost,
+        default="auto",
+        metavar="LAMBDA",
+        help="cost of one differing neighbour pair, image in [0, 1]; auto: from the noise, texture and size of the photographs",
+    )
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
     if (opt.photograph_right is None) != (opt.regions_right is None):
         raise stage.BadInput("--photograph-right: comes with --regions-right, and only with it")
-    with Report(opt.report, inputs=[opt.photograph, opt.photograph_right], arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
-            import cv2                                             # noqa: F401  where lib/ imports late
+            import cv2  # noqa: F401  where lib/ imports late
             import numpy as np
-            from lib import artefact, image, segmentation
+
+            from lib.core import artefact
+            from lib.given import image
+            from lib.vision import segmentation
         with report.excluded("compile"):
             segmentation.segment(np.eye(4)[..., None], 0.01)
 
@@ -62,24 +68,30 @@ def main(opt):
         report["lambda"] = weight
         regions = {}
         for side, picture in pictures.items():
+
             def trace(step, labels, side=side, picture=picture):
                 with report.excluded("measuring"):
                     energy = segmentation.energy(picture, labels, weight)
                 report.trace(side=side, step=step, energy=energy, regions=int(labels.max()) + 1)
+
             with report.timing("segment"):
                 regions[side] = segmentation.segment(picture, weight, trace=trace)
         report["regions"] = {side: int(labels.max()) for side, labels in regions.items()}
-        report["energy"] = {side: segmentation.energy(pictures[side], labels, weight) for side, labels in regions.items()}
+        report["energy"] = {
+            side: segmentation.energy(pictures[side], labels, weight) for side, labels in regions.items()
+        }
         report["noise"] = {side: segmentation.noise(picture) for side, picture in pictures.items()}
         names = {side: Path(sides[side][1]) for side in regions}
-        files = {side: name.with_suffix(".tif") if regions[side].max() > 65535 else name for side, name in names.items()}
+        files = {
+            side: name.with_suffix(".tif") if regions[side].max() > 65535 else name for side, name in names.items()
+        }
         with artefact.writing_all(*files.values()) as partials:
             for partial, labels in zip(partials, regions.values()):
                 image.write_labels(partial, labels)
         for side, name in names.items():
             wide = name.with_suffix(".tif")
             if files[side] == name:
-                wide.unlink(missing_ok=True)                       # of an earlier run
+                wide.unlink(missing_ok=True)  # of an earlier run
             else:
                 name.unlink(missing_ok=True)
                 name.symlink_to(wide.name)

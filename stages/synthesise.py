@@ -1,36 +1,39 @@
 #!/usr/bin/env python3
-"""Make a synthetic scene: path-trace a recipe with Mitsuba 3 (independent of everything else here) and write its folder.
+"""Make a synthetic scene: path-trace a recipe with Mitsuba 3, which is independent of all else here; write its folder.
 
     $ stages/synthesise.py --scene office --out data/office
 
 Not part of a scene's run: the small results are committed, and Mitsuba (`pip install mitsuba==3.9.1`) is only needed to
 make them again.  The same options give the same numbers (of one variant, up to the order of floating-point sums).
 
-reads   lib/recipes.py
+reads   lib/synthetic   the recipes
 writes  OUT/            scene.yaml model.obj model.mtl left.png|left.exr left.posed.cameramodel origin.md
         OUT/truth/      materials.json group.png legend.json noise.json
-                        with mirrors: reflected.png (group.png, mirrors followed); with textures: texture-<facet>.exr textures.json
+                        with mirrors: mirror.png (index + 1 of the group that they show)
+                        with textures: texture-<facet>.exr textures.json
         of a stereo scene, without left.posed.cameramodel, also
         OUT/            right.png, boards/left-*.png and right-*.png or left.cameramodel and right.cameramodel
-        OUT/truth/      {left,right}.cameramodel {left,right}.posed.cameramodel (without the lens's distortion) boards.json
+        OUT/truth/      {left,right}.cameramodel boards.json
+                        {left,right}.posed.cameramodel (without the lens's distortion)
 
 The picture is the mean of `--passes` passes of `--spp` samples per pixel, each with its own seed; their spread is the
-noise.  Groups that stay above `--target` get further passes over the window that contains them, unless that is most of the
-picture, so every pixel is a mean of independent passes, some of more than others.  A group's noise is that of its mean over
-pixels that no lamp's edge touches.
+noise.  Groups that stay above `--target` get further passes over the window that contains them, unless that is most of
+the picture.  So every pixel is a mean of independent passes, some of more than others.  A group's noise is that of its
+mean over pixels that no lamp's edge touches.
 
-A stereo pair is traced through its lenses: every sample's ray is the one that the lens puts at that place of the pixel (a
-box filter; no finished picture is warped), and the sensor's noise is added before values are rounded.  Its passes have
+A stereo pair is traced through its lenses: every sample's ray is the one that the lens puts at that place of the pixel
+(a box filter; no finished picture is warped).  The sensor's noise is added before values are rounded.  Its passes have
 `--spp` jittered samples, a square number, and only `--passes` of them.
 
 Scenes that are more than diffuse want llvm_ad_rgb where something is glossy or a perfect mirror.
 """
+
 import argparse
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
@@ -40,38 +43,51 @@ def options():
     parser.add_argument("--spp", type=int, default=32, help="samples per pixel and pass")
     parser.add_argument("--passes", type=int, default=12, help="independent passes (8 or more for a stated noise)")
     parser.add_argument("--target", type=float, default=0.0005, help="relative noise wanted of a group's mean")
-    parser.add_argument("--more", type=int, default=200, help="at most so many further passes over a noisy group's window")
-    parser.add_argument("--roulette", type=int, default=6, help="bounces before Russian roulette; 16 is twice as good in a white room")
+    parser.add_argument(
+        "--more", type=int, default=200, help="at most so many further passes over a noisy group's window"
+    )
+    parser.add_argument(
+        "--roulette", type=int, default=6, help="bounces before Russian roulette; 16 is twice as good in a white room"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the first pass; the others count on")
-    parser.add_argument("--variant", default="scalar_rgb", help="Mitsuba's; scalar_rgb needs nothing else, llvm_ad_rgb is faster")
+    parser.add_argument(
+        "--variant", default="scalar_rgb", help="Mitsuba's; scalar_rgb needs nothing else, llvm_ad_rgb is faster"
+    )
     parser.add_argument("--board-spp", type=int, default=36, help="samples per pixel of a chessboard's shot")
     parser.add_argument("--preview", type=Path, help="write only this picture (PNG), nothing else")
     return parser
 
 
 def main(opt):
-    from lib import recipes, synthesis
+    from lib.synthetic import recipes, scene_files
 
-    known = recipes.NAMES + recipes.STEREO_NAMES + recipes.KIND_NAMES
-    if opt.scene not in known:
-        raise stage.BadInput(f"--scene: {opt.scene!r} is not one of {', '.join(known)}")
+    if opt.scene not in recipes.ALL_NAMES:
+        raise stage.BadInput(f"--scene: {opt.scene!r} is not one of {', '.join(recipes.ALL_NAMES)}")
     if opt.passes < 2:
         raise stage.BadInput(f"--passes: {opt.passes}: the noise needs at least 2")
     try:
         import mitsuba as mi
     except ImportError:
-        raise stage.BadInput("mitsuba: not installed: pip install mitsuba==3.9.1 (only needed to make scenes again)") from None
+        raise stage.BadInput(
+            "mitsuba: not installed: pip install mitsuba==3.9.1 (only needed to make scenes again)"
+        ) from None
 
     mi.set_variant(opt.variant)
-    recipe = recipes.make(opt.scene)
-    if opt.variant.startswith("scalar") and any(s.kind != "textured" for s in recipe.surfaces.values()):
+    recipe, scalar = recipes.make(opt.scene), opt.variant.startswith("scalar")
+    if scalar and any(surface.kind != "textured" for surface in recipe.surfaces.values()):
         raise stage.BadInput(f"--variant: {opt.variant}: mirrors and gloss are drawn by llvm_ad_rgb alone")
-    if recipe.pair:
-        if opt.variant.startswith("scalar") or opt.preview or round(opt.spp ** 0.5) ** 2 != opt.spp or round(opt.board_spp ** 0.5) ** 2 != opt.board_spp:
-            raise stage.BadInput("a stereo scene: --variant llvm_ad_rgb, square numbers of --spp and --board-spp, no --preview")
-        synthesis.synthesise_pair(mi, recipe, opt)
+    if not recipe.pair:
+        scene_files.synthesise(mi, recipe, opt)
+    elif scalar or opt.preview or not (is_square(opt.spp) and is_square(opt.board_spp)):
+        raise stage.BadInput(
+            "a stereo scene: --variant llvm_ad_rgb, square numbers of --spp and --board-spp, no --preview"
+        )
     else:
-        synthesis.synthesise(mi, recipe, opt)
+        scene_files.synthesise_pair(mi, recipe, opt)
+
+
+def is_square(number):
+    return round(number**0.5) ** 2 == number
 
 
 if __name__ == "__main__":

@@ -9,37 +9,38 @@ reads   photograph    of any kind
 writes  pinhole       .png, 16 bit, display values; .exr, light, where the photograph is
         camera        the pinhole: the lens's own focal lengths, or longer so that no pixel is without data
 """
-import argparse
+
 import sys
 from pathlib import Path
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
-from lib import stage
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
 
 
 def options():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("photograph", "lens-camera", "pinhole", "camera"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--report")
+    parser = stage.parser(__doc__, reads="photograph lens_camera", writes="pinhole camera")
     return parser
 
 
 def main(opt):
-    from lib.report import Report
+    from lib.core.report import Report
 
-    with Report(opt.report, inputs=[opt.photograph, opt.lens_camera], arguments=vars(opt)) as report:
+    with Report.of(opt) as report:
         with report.excluded("imports"):
-            import cv2                                             # noqa: F401  where lib/ imports late
+            import cv2  # noqa: F401  where lib/ imports late
             import numpy as np
-            import scipy.ndimage                                   # noqa: F401
-            from lib import artefact, cameras, image, lenses
+            import scipy.ndimage  # noqa: F401
+
+            from lib.core import artefact
+            from lib.given import cameras, image, lenses
 
         photograph = image.read_photograph(opt.photograph)
         lens = lenses.read(opt.lens_camera)
         height, width = photograph.values.shape[:2]
         if (width, height) != (lens.width, lens.height):
-            raise stage.BadInput(f"{opt.photograph}: size: {width} x {height} is not the camera's {lens.width} x {lens.height} ({opt.lens_camera})")
+            raise stage.BadInput(
+                f"{opt.photograph}: size: {width} x {height} is not the camera's {lens.width} x {lens.height} ({opt.lens_camera})"
+            )
         with report.timing("camera"):
             camera, share = lenses.pinhole(lens)
         with report.timing("resample"):
@@ -47,7 +48,9 @@ def main(opt):
         report["focal_factor"] = camera.K[0, 0] / lens.intrinsics[0]
         report["share_kept"] = share
         if share < 0.5:
-            report.warning(f"{opt.photograph}: the pinhole picture shows {100 * share:.0f} % of the photograph: {lens.model} sees too wide for more")
+            report.warning(
+                f"{opt.photograph}: the pinhole picture shows {100 * share:.0f} % of the photograph: {lens.model} sees too wide for more"
+            )
         with artefact.writing_all(opt.pinhole, opt.camera) as (pinhole, model):
             if photograph.linear:
                 image.write_exr(pinhole, np.maximum(values, 0))

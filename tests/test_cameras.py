@@ -1,9 +1,10 @@
 """Cameras and pixel origins: by hand, there and back, and what is refused."""
+
 import numpy as np
 import pytest
 
-from lib import cameras, frames
-from lib.stage import BadInput
+from lib.core.stage import BadInput
+from lib.given import cameras, frames
 
 K = np.array([[500.0, 0, 310.2], [0, 510, 250.7], [0, 0, 1]])
 
@@ -84,26 +85,29 @@ def test_mrcals_own_text(tmp_path):
     assert camera.centre.tolist() == [1, -2.5, -3]
 
 
-@pytest.mark.parametrize("old, new, says", [
-    ("LENSMODEL_PINHOLE", "LENSMODEL_OPENCV8", "lensmodel: LENSMODEL_OPENCV8 is not a pinhole"),
-    ("1761.181", "-3", "fx = -3"),
-    ("1761.181, ", "", "intrinsics: 4 numbers"),
-    ("1761.181", "'x'", "intrinsics: 'x'"),
-    ("1761.181", "1e999", "intrinsics: inf"),
-    ("1920", "0", "width = 0"),
-    ("1920", "19.5", "width = 19.5"),
-    ("'extrinsics'", "'other'", "rt_cam_ref: 6 numbers"),
-    ("}", "", "not a camera model"),
-    (MRCAL, "", "not a camera model"),
-    (MRCAL, "[1]", "a list instead"),
-    ("1761.181", "__import__('os')", "not a camera model"),
-])
+@pytest.mark.parametrize(
+    "old, new, says",
+    [
+        ("LENSMODEL_PINHOLE", "LENSMODEL_OPENCV8", "lensmodel: LENSMODEL_OPENCV8 is not a pinhole"),
+        ("1761.181", "-3", "fx = -3"),
+        ("1761.181, ", "", "intrinsics: 4 numbers"),
+        ("1761.181", "'x'", "intrinsics: 'x'"),
+        ("1761.181", "1e999", "intrinsics: inf"),
+        ("1920", "0", "width = 0"),
+        ("1920", "19.5", "width = 19.5"),
+        ("'extrinsics'", "'other'", "rt_cam_ref: 6 numbers"),
+        ("}", "", "not a camera model"),
+        (MRCAL, "", "not a camera model"),
+        (MRCAL, "[1]", "a list instead"),
+        ("1761.181", "__import__('os')", "not a camera model"),
+    ],
+)
 def test_refused(tmp_path, old, new, says):
     path = tmp_path / "a.cameramodel"
     path.write_text(MRCAL.replace(old, new))
     with pytest.raises(BadInput) as refusal:
         cameras.read_cameramodel(path)
-    line, = refusal.value.problems
+    (line,) = refusal.value.problems
     assert line.startswith(f"{path}: ") and says in line
 
 

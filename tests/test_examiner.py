@@ -1,7 +1,9 @@
-"""From outside: scenes by hand with answers in closed form, run through make as a user would; and input that must be refused.
+"""From outside: scenes by hand with answers in closed form, run through make as a user would; and input to be refused.
 
-A ground plane and a black lamp above it: no light goes twice, so a pixel's value is rho E F(point), F by Lambert's formula.
+A ground plane and a black lamp above it: no light goes twice, so a pixel's value is rho E F(point), with F by Lambert's
+formula.
 """
+
 import json
 import struct
 
@@ -12,7 +14,7 @@ import pytest
 W, H, F_PX = 96, 72, 80.0
 RHO, E = np.array([0.42, 0.55, 0.31]), np.array([3.0, 2.8, 2.5])
 GROUND = np.array([(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)], float)
-LAMP = np.array([(-0.5, -0.4, 2.0), (-0.5, 0.6, 2.0), (0.7, 0.6, 2.0), (0.7, -0.4, 2.0)], float)       # shines down
+LAMP = np.array([(-0.5, -0.4, 2.0), (-0.5, 0.6, 2.0), (0.7, 0.6, 2.0), (0.7, -0.4, 2.0)], float)  # shines down
 EYE, FORWARD = np.array([-3.0, -0.5, 1.5]), np.array([3.0, 0.6, -1.5])
 
 
@@ -48,7 +50,7 @@ def obj(scale, offset, style):
     lines = ["# by hand"]
     for name, polygon in (("ground", GROUND), ("lamp", LAMP)):
         lines += [f"o {name}", "g ignored", f"usemtl {name}"] if style != "no objects" else [f"usemtl {name}"]
-        lines += ["v %.17g %.17g %.17g" % tuple(scale * q + offset) for q in polygon]
+        lines += ["v " + " ".join(f"{x:.17g}" for x in scale * q + offset) for q in polygon]
         lines += ["vt 0 0", "vn 0 0 1", "f -4/-1/-1 -3/-1/-1 -2//-1 -1/-1"] if style == "forms" else ["f -4 -3 -2 -1"]
     return ("\r\n" if style == "forms" else "\n").join(lines) + "\n"
 
@@ -60,24 +62,53 @@ def glb(scale):
     binary, nodes, meshes, views, accessors = b"", [], [], [], []
     for i, polygon in enumerate((GROUND, LAMP)):
         c = scale * polygon.mean(0)
-        for array, kind, form in (((scale * polygon - c) @ R, "<f4", "VEC3"), (np.array([0, 1, 2, 0, 2, 3]), "<u4", "SCALAR")):
+        for array, kind, form in (
+            ((scale * polygon - c) @ R, "<f4", "VEC3"),
+            (np.array([0, 1, 2, 0, 2, 3]), "<u4", "SCALAR"),
+        ):
             data = array.astype(kind).tobytes()
             views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
-            accessors.append({"bufferView": len(views) - 1, "componentType": 5126 if kind == "<f4" else 5125, "count": 4 if form == "VEC3" else 6, "type": form})
+            accessors.append(
+                {
+                    "bufferView": len(views) - 1,
+                    "componentType": 5126 if kind == "<f4" else 5125,
+                    "count": 4 if form == "VEC3" else 6,
+                    "type": form,
+                }
+            )
             binary += data
         meshes.append({"primitives": [{"attributes": {"POSITION": 2 * i}, "indices": 2 * i + 1, "material": i}]})
         nodes.append({"mesh": i, "translation": c.tolist(), "rotation": [0, 0, np.sin(a / 2), np.cos(a / 2)]})
-    text = json.dumps({"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1]}], "nodes": nodes, "meshes": meshes, "accessors": accessors,
-                       "bufferViews": views, "buffers": [{"byteLength": len(binary)}], "materials": [{"name": "ground"}, {"name": "lamp"}]}).encode()
+    text = json.dumps(
+        {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": [0, 1]}],
+            "nodes": nodes,
+            "meshes": meshes,
+            "accessors": accessors,
+            "bufferViews": views,
+            "buffers": [{"byteLength": len(binary)}],
+            "materials": [{"name": "ground"}, {"name": "lamp"}],
+        }
+    ).encode()
     text += b" " * (-len(text) % 4)
-    return (struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary)) + struct.pack("<I4s", len(text), b"JSON") + text
-            + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+    return (
+        struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary))
+        + struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(binary), b"BIN\0")
+        + binary
+    )
 
 
 def scene(folder, yaml, *, display, file="left.png", bits=8, scale=1.0, offset=(0.0, 0, 0), style="plain"):
     folder.mkdir(parents=True)
-    limit = 2 ** bits - 1
-    code = cv2.imencode("." + file.split(".")[1], np.round(limit * display(light()))[..., ::-1].astype(np.uint16 if bits == 16 else np.uint8))[1]
+    limit = 2**bits - 1
+    code = cv2.imencode(
+        "." + file.split(".")[1],
+        np.round(limit * display(light()))[..., ::-1].astype(np.uint16 if bits == 16 else np.uint8),
+    )[1]
     (folder / file).write_bytes(code.tobytes())
     if style == "glb":
         (folder / "model.glb").write_bytes(glb(scale))
@@ -86,8 +117,16 @@ def scene(folder, yaml, *, display, file="left.png", bits=8, scale=1.0, offset=(
     R = pose()
     r = cv2.Rodrigues(R)[0].ravel()
     t = -R @ (scale * EYE + offset)
-    (folder / "left.posed.cameramodel").write_text(repr({"lensmodel": "LENSMODEL_PINHOLE", "intrinsics": [F_PX, F_PX, (W - 1) / 2, (H - 1) / 2],
-                                                         "extrinsics": [float(x) for x in (*r, *t)], "imagersize": [W, H]}))
+    (folder / "left.posed.cameramodel").write_text(
+        repr(
+            {
+                "lensmodel": "LENSMODEL_PINHOLE",
+                "intrinsics": [F_PX, F_PX, (W - 1) / 2, (H - 1) / 2],
+                "extrinsics": [float(x) for x in (*r, *t)],
+                "imagersize": [W, H],
+            }
+        )
+    )
     (folder / "scene.yaml").write_text(yaml + "\ngoals: [materials.json]\n")
     return folder
 
@@ -100,16 +139,28 @@ def make(run, tmp_path):
 KNOWN = "lamps: {lamp: [3.0, 2.8, 2.5]}"
 
 
-@pytest.mark.parametrize("yaml, options, scale_by", [
-    (KNOWN, {"display": lambda B: B ** (1 / 2.2), "style": "forms", "scale": 1e-3}, "lamps"),
-    (KNOWN + "\ntransfer: srgb", {"display": srgb, "file": "left.tif", "bits": 16, "style": "no objects", "offset": (1e6, -7e5, 3e5)}, "lamps"),
-    ("lamps: {lamp: unknown}\nreference: {ground: [0.42, 0.55, 0.31]}\ntransfer: linear", {"display": lambda B: B, "bits": 16, "style": "glb", "scale": 1e3}, "reference"),
-], ids=["a millimetre, odd OBJ", "1e6 m away, sRGB TIFF", "kilometres, GLB, lamp unknown"])
+@pytest.mark.parametrize(
+    "yaml, options, scale_by",
+    [
+        (KNOWN, {"display": lambda B: B ** (1 / 2.2), "style": "forms", "scale": 1e-3}, "lamps"),
+        (
+            KNOWN + "\ntransfer: srgb",
+            {"display": srgb, "file": "left.tif", "bits": 16, "style": "no objects", "offset": (1e6, -7e5, 3e5)},
+            "lamps",
+        ),
+        (
+            "lamps: {lamp: unknown}\nreference: {ground: [0.42, 0.55, 0.31]}\ntransfer: linear",
+            {"display": lambda B: B, "bits": 16, "style": "glb", "scale": 1e3},
+            "reference",
+        ),
+    ],
+    ids=["a millimetre, odd OBJ", "1e6 m away, sRGB TIFF", "kilometres, GLB, lamp unknown"],
+)
 def test_ground_under_a_lamp(make, tmp_path, yaml, options, scale_by):
     scene(tmp_path / "data" / "s", yaml, **options)
     result = make("s")
     assert result.returncode == 0, result.stderr
-    assert "stages/" not in make("s").stdout                          # nothing is left to do
+    assert "stages/" not in make("s").stdout  # nothing is left to do
     found = json.loads((tmp_path / "out" / "s" / "materials.json").read_text())
     ground = found["groups"]["ground"]
     assert found["scale"] == scale_by and ground["identified"]
@@ -124,15 +175,31 @@ CASES = {
     "UTF-16": ("scene.yaml", lambda b: b.decode().encode("utf-16"), "scene.yaml: not UTF-8"),
     "tag that runs code": ("scene.yaml", lambda b: b"lamps: !!python/object/apply:os.getcwd []", "scene.yaml: line 1"),
     "emittance too large": ("scene.yaml", lambda b: b.replace(b"3.0", b"1e400"), "lamps.lamp"),
-    "corner not finite": ("model.obj", lambda b: b.replace(b"v -4 ", b"v nan ", 1), "model.obj: line 5: vertex x = nan"),
+    "corner not finite": (
+        "model.obj",
+        lambda b: b.replace(b"v -4 ", b"v nan ", 1),
+        "model.obj: line 5: vertex x = nan",
+    ),
     "corner missing": ("model.obj", lambda b: b.replace(b"f -4", b"f -40", 1), "model.obj: line 9: face index -40"),
     "model is a photograph": ("model.obj", lambda b: b"\x89PNG\r\n\x1a\n" + bytes(99), "model.obj: not an OBJ file"),
-    "photograph cut short": ("left.png", lambda b: b[:len(b) // 2], "left.png: truncated"),
+    "photograph cut short": ("left.png", lambda b: b[: len(b) // 2], "left.png: truncated"),
     "photograph damaged": ("left.png", lambda b: b[:400] + bytes([b[400] ^ 255]) + b[401:], "left.png: damaged"),
     "photograph empty": ("left.png", lambda b: b"", "left.png: the file is empty"),
-    "camera runs code": ("left.posed.cameramodel", lambda b: b"__import__('os').getcwd()", "left.posed.cameramodel: not a camera model"),
-    "camera of another size": ("left.posed.cameramodel", lambda b: b.replace(b"[96, 72]", b"[97, 72]"), "left.png: size: 96 x 72"),
-    "focal length negative": ("left.posed.cameramodel", lambda b: b.replace(b"[80.0,", b"[-80.0,"), "intrinsics: fx = -80"),
+    "camera runs code": (
+        "left.posed.cameramodel",
+        lambda b: b"__import__('os').getcwd()",
+        "left.posed.cameramodel: not a camera model",
+    ),
+    "camera of another size": (
+        "left.posed.cameramodel",
+        lambda b: b.replace(b"[96, 72]", b"[97, 72]"),
+        "left.png: size: 96 x 72",
+    ),
+    "focal length negative": (
+        "left.posed.cameramodel",
+        lambda b: b.replace(b"[80.0,", b"[-80.0,"),
+        "intrinsics: fx = -80",
+    ),
 }
 
 
@@ -143,9 +210,17 @@ def test_refused_before_anything_is_written(refuses, tmp_path):
         folder.mkdir(parents=True)
         for path in sound.iterdir():
             (folder / path.name).write_bytes(path.read_bytes() if path.name != file else change(path.read_bytes()))
-    lines = refuses("-m", "lib.plan", "--data", tmp_path / "data", "--build", tmp_path / "out", *[f"bad{i}" for i in range(len(CASES))])
+    lines = refuses(
+        "-m",
+        "lib.planning.plan",
+        "--data",
+        tmp_path / "data",
+        "--build",
+        tmp_path / "out",
+        *[f"bad{i}" for i in range(len(CASES))],
+    )
     assert len(lines) == len(CASES), lines
-    for i, (line, (_, _, said)) in enumerate(zip(lines, CASES.values())):
+    for i, (line, (_, _, said)) in enumerate(zip(lines, CASES.values(), strict=True)):
         assert f"bad{i}/" in line and said in line, line
     assert not (tmp_path / "out").exists()
 
@@ -154,11 +229,24 @@ def test_given_materials_are_rendered_and_nothing_is_fitted(make, tmp_path):
     folder = scene(tmp_path / "data" / "s", KNOWN, display=lambda B: B ** (1 / 2.2))
     (folder / "scene.yaml").write_text(KNOWN + "\ngoals: [materials.json, rendered.png]\n")
     ground = {"kind": "diffuse", "rho_d": RHO.tolist(), "rho_s": [0, 0, 0], "identified": True}
-    (folder / "materials.json").write_text(json.dumps({"status": "converged", "groups": {"ground": ground}, "lamps": {"lamp": {"emittance": E.tolist()}},
-                                                       "transfer": {"kind": "gamma", "gamma": 2.2}, "scale": "lamps"}))
+    (folder / "materials.json").write_text(
+        json.dumps(
+            {
+                "status": "converged",
+                "groups": {"ground": ground},
+                "lamps": {"lamp": {"emittance": E.tolist()}},
+                "transfer": {"kind": "gamma", "gamma": 2.2},
+                "scale": "lamps",
+            }
+        )
+    )
     result = make("s")
     assert result.returncode == 0, result.stderr
-    assert "stages/render.py" in result.stdout and "stages/fit.py" not in result.stdout and "stages/gather.py" not in result.stdout
+    assert (
+        "stages/render.py" in result.stdout
+        and "stages/fit.py" not in result.stdout
+        and "stages/gather.py" not in result.stdout
+    )
     shown = cv2.imread(str(tmp_path / "out" / "s" / "rendered.png"), -1)[..., ::-1] / 255.0
     step = np.abs(shown - light() ** (1 / 2.2))
     assert np.median(step) < 0.003 and np.quantile(step, 0.98) < 0.01

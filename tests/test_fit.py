@@ -3,14 +3,18 @@
 The problems here are made: a lamp, six patches with a cube's exact form factors, and tiles that see them in random
 shares. The photograph is the model's own light, so the right answer is known to rounding.
 """
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib import reflectance
-from lib.transfer import Metric, Tiles, Transfer
+from lib.analysis import gauss_newton, paper, transport
+from lib.analysis import problem as problem_
+from lib.analysis.equations import Equations, Layout, Unknowns
+from lib.analysis.problem import TilePixels
+from lib.given.transfer import Metric, Transfer
 
 OPPOSITE, BESIDE = 0.19982489569838746, 0.20004377607540316
 
@@ -23,7 +27,20 @@ def cube():
     return F
 
 
-def made(rho, *, gamma=2.0, E=(1.5,), transfer="gamma", tiles=30, pixels=40, noise=0.0, given_E=True, unseen=(), seed=0, lamps=1):
+def made(
+    rho,
+    *,
+    gamma=2.0,
+    E=(1.5,),
+    transfer="gamma",
+    tiles=30,
+    pixels=40,
+    noise=0.0,
+    given_E=True,
+    unseen=(),
+    seed=0,
+    lamps=1,
+):
     """A problem and its true state. rho : (5,) or (5, C) of the groups 1..5 (faces); face 0 is the lamp (black)."""
     rng = np.random.default_rng(seed)
     rho = np.asarray(rho, float)
@@ -37,27 +54,44 @@ def made(rho, *, gamma=2.0, E=(1.5,), transfer="gamma", tiles=30, pixels=40, noi
     group = np.repeat(np.array(seen, int), tiles)
     G = rng.uniform(0.02, 0.3, (len(group), 6)) * (group[:, None] != np.arange(6))
     D_tile = rng.uniform(0.02, 0.3, (len(group), lamps))
-    b = np.stack([np.linalg.solve(np.eye(6) - rho_all[:, [c]] * F, rho_all[:, c] * (D @ E[:, c])) for c in range(C)], axis=1)
+    b = np.stack(
+        [np.linalg.solve(np.eye(6) - rho_all[:, [c]] * F, rho_all[:, c] * (D @ E[:, c])) for c in range(C)], axis=1
+    )
     B = rho_all[group] * (D_tile @ E + G @ b)
     T = Transfer(transfer, gamma) if transfer == "gamma" else Transfer(transfer)
     shade = np.repeat(B, pixels, axis=0) * (1 + noise * rng.standard_normal((len(B) * pixels, C)))
     names = ("lamp", "a", "b", "c", "d", "e")
     known = np.full((6, C), np.nan)
     known[0] = 0
-    problem = reflectance.Problem(
-        F=csr_array(F), D=D, patch_group=np.arange(6), area=np.ones(6), G=csr_array(G), G_plain=csr_array(G), D_tile=D_tile, tile_group=group,
-        tile_object=np.zeros(len(group), int), start=np.arange(len(group) + 1) * pixels, pixels=T.display(np.maximum(shade, 0)), groups=names,
-        lamps=names[:1] * lamps, emittance=E.copy() if given_E else np.full_like(E, np.nan), rho=known, metric=Metric(Transfer(transfer, 2.2) if transfer == "gamma" else T),
-        fit_gamma=transfer == "gamma", group_area=np.ones(6))
+    problem = problem_.Problem(
+        F=csr_array(F),
+        D=D,
+        patch_group=np.arange(6),
+        area=np.ones(6),
+        G=csr_array(G),
+        G_plain=csr_array(G),
+        D_tile=D_tile,
+        tile_group=group,
+        tile_object=np.zeros(len(group), int),
+        start=np.arange(len(group) + 1) * pixels,
+        pixels=T.display(np.maximum(shade, 0)),
+        groups=names,
+        lamps=names[:1] * lamps,
+        emittance=E.copy() if given_E else np.full_like(E, np.nan),
+        rho=known,
+        metric=Metric(Transfer(transfer, 2.2) if transfer == "gamma" else T),
+        fit_gamma=transfer == "gamma",
+        group_area=np.ones(6),
+    )
     return problem, rho_all, b
 
 
-COLOURS = np.array([[.7, .3, .2], [.2, .5, .4], [.8, .8, .7], [.1, .15, .3], [.5, .45, .6]])
+COLOURS = np.array([[0.7, 0.3, 0.2], [0.2, 0.5, 0.4], [0.8, 0.8, 0.7], [0.1, 0.15, 0.3], [0.5, 0.45, 0.6]])
 
 
 def test_gauss_newton_recovers_reflectances_and_gamma_together():
     problem, rho, b = made(COLOURS)
-    result = reflectance.gauss_newton(problem)
+    result = gauss_newton.gauss_newton(problem)
     assert result.converged
     np.testing.assert_allclose(result.state.rho, rho, atol=2e-5)
     np.testing.assert_allclose(result.state.gamma, 2.0, atol=1e-4)
@@ -67,25 +101,28 @@ def test_gauss_newton_recovers_reflectances_and_gamma_together():
 @pytest.mark.parametrize("gamma", [0.3, 0.7, 1.0, 1.8, 2.6, 5.0])
 def test_gamma_from_03_to_5(gamma):
     problem, rho, _ = made(COLOURS, gamma=gamma)
-    result = reflectance.gauss_newton(problem, max_iterations=100)
+    result = gauss_newton.gauss_newton(problem, max_iterations=100)
     np.testing.assert_allclose(result.state.gamma, gamma, rtol=1e-3)
     np.testing.assert_allclose(result.state.rho, rho, atol=1e-3)
 
 
 def test_derivatives_against_finite_differences():
     problem, rho, _ = made(COLOURS, given_E=False)
-    layout = reflectance._layout(problem)
-    light = reflectance.Light(problem)
-    light.ways.F = [problem.F.toarray().astype(float)]
+    layout = Layout.of(problem)
+    light = transport.TileLight(problem)
+    light.matrices.F = [problem.F.toarray().astype(float)]
     E = np.full((1, 3), 1.3)
-    at = reflectance._Equations(problem, light, layout, rho, E, 2.1)
+    at = Equations(problem, light, layout, Unknowns(rho, E, 2.1))
     light.derivative = None
     theta, J = layout.pack(at.state), at.jacobian()
     for step in (1e-3, 1e-4):
         for k in range(layout.size):
             d = np.zeros(layout.size)
             d[k] = step * max(abs(theta[k]), 0.1)
-            there, back = (reflectance._Equations(problem, light, layout, *layout.unpack(theta + s * d, at.state)).residual.reshape(-1) for s in (1, -1))
+            there, back = (
+                Equations(problem, light, layout, layout.unpack(theta + s * d, at.state)).residual.reshape(-1)
+                for s in (1, -1)
+            )
             slope = (there - back) / (2 * d[k])
             # the block solve is stopped at 3e-3, single precision carries 1e-6 / step
             assert np.abs(J[:, k] - slope).max() <= 4e-3 * np.abs(slope).max() + 5e-6 / d[k], (step, k)
@@ -94,7 +131,7 @@ def test_derivatives_against_finite_differences():
 def test_bounds_are_reached():
     """rho = 0 and 0.99 are found, and nothing leaves [0, 1] on the way."""
     problem, rho, _ = made([0.0, 0.99, 0.5, 0.2, 0.7])
-    result = reflectance.gauss_newton(problem, max_iterations=100)
+    result = gauss_newton.gauss_newton(problem, max_iterations=100)
     assert (result.state.rho >= 0).all() and (result.state.rho <= 1).all()
     np.testing.assert_allclose(result.state.rho, rho, atol=2e-3)
 
@@ -103,7 +140,7 @@ def test_bounds_are_reached():
 def test_sigma_is_honest_at_10_percent_noise(seed):
     """Pixel noise is all there is here: errors stay within 4 sigma, and sigma is no excuse (below 0.02)."""
     problem, rho, _ = made(COLOURS, noise=0.1, seed=seed)
-    result = reflectance.gauss_newton(problem)
+    result = gauss_newton.gauss_newton(problem)
     z = np.abs(result.state.rho - rho)[1:] / result.sigma_rho[1:]
     assert z.max() < 4 and np.median(z) < 1.5
     assert 1e-4 < np.median(result.sigma_rho[1:]) < 0.02
@@ -113,7 +150,7 @@ def test_sigma_is_honest_at_10_percent_noise(seed):
 def test_a_group_never_seen_is_found_by_the_light_it_gives():
     """Without noise its light on the others tells it, whatever the prior says."""
     problem, rho, _ = made(COLOURS, unseen=(3,))
-    result = reflectance.gauss_newton(problem)
+    result = gauss_newton.gauss_newton(problem)
     np.testing.assert_allclose(result.state.rho, rho, atol=2e-3)
 
 
@@ -123,7 +160,7 @@ def test_a_group_never_seen_that_lights_nobody_has_its_prior():
     dark = np.ones(6)
     dark[3] = 0
     problem = replace(problem, F=csr_array(problem.F.toarray() * dark), G=csr_array(problem.G.toarray() * dark))
-    result = reflectance.gauss_newton(problem)
+    result = gauss_newton.gauss_newton(problem)
     seen = [1, 2, 4, 5]
     np.testing.assert_allclose(result.state.rho[3], result.state.rho[seen].mean(axis=0), atol=1e-3)
     np.testing.assert_allclose(result.sigma_rho[3], result.state.rho[seen].std(axis=0), rtol=0.05)
@@ -132,8 +169,8 @@ def test_a_group_never_seen_that_lights_nobody_has_its_prior():
 def test_ignorance_of_a_group_never_seen_is_in_the_others_sigma():
     """With 10 % noise its light is barely told from the others': they know less than where it is seen."""
     problem, rho, _ = made(COLOURS, unseen=(3,), noise=0.1, tiles=6)
-    result = reflectance.gauss_newton(problem)
-    sure = reflectance.gauss_newton(made(COLOURS, noise=0.1, tiles=6)[0])
+    result = gauss_newton.gauss_newton(problem)
+    sure = gauss_newton.gauss_newton(made(COLOURS, noise=0.1, tiles=6)[0])
     seen = [1, 2, 4, 5]
     assert np.median(result.sigma_rho[seen] / sure.sigma_rho[seen]) > 1
     assert (np.abs(result.state.rho - rho)[seen] < 4 * result.sigma_rho[seen]).all()
@@ -143,7 +180,7 @@ def test_an_unknown_lamp_with_a_reference():
     problem, rho, _ = made(COLOURS, given_E=False)
     known = problem.rho.copy()
     known[1] = COLOURS[0]
-    result, scale = reflectance.fit(replace(problem, rho=known))
+    result, scale = gauss_newton.fit(replace(problem, rho=known))
     assert scale == "reference"
     np.testing.assert_allclose(result.state.E, 1.5, rtol=2e-3)
     np.testing.assert_allclose(result.state.rho, rho, atol=2e-3)
@@ -151,11 +188,11 @@ def test_an_unknown_lamp_with_a_reference():
 
 def test_an_unknown_lamp_by_interreflection_alone():
     """Bright walls: the second bounce fixes the scale, and sigma says how well."""
-    problem, rho, _ = made([.8, .7, .9, .6, .8], given_E=False)
-    result, scale = reflectance.fit(problem)
+    problem, rho, _ = made([0.8, 0.7, 0.9, 0.6, 0.8], given_E=False)
+    result, scale = gauss_newton.fit(problem)
     assert scale == "interreflection"
     assert abs(result.state.E[0, 0] - 1.5) < 4 * result.sigma_E[0, 0] + 1e-2
-    known, _ = reflectance.fit(made([.8, .7, .9, .6, .8])[0])
+    known, _ = gauss_newton.fit(made([0.8, 0.7, 0.9, 0.6, 0.8])[0])
     assert np.median(result.sigma_rho[1:]) > np.median(known.sigma_rho[1:])
 
 
@@ -164,7 +201,7 @@ def test_several_lamps_none_negative():
     problem, rho, _ = made(COLOURS, E=(1.5, 0.0), lamps=2, given_E=False)
     known = problem.rho.copy()
     known[1] = COLOURS[0]
-    result, _ = reflectance.fit(replace(problem, rho=known), max_iterations=100)
+    result, _ = gauss_newton.fit(replace(problem, rho=known), max_iterations=100)
     assert (result.state.E >= 0).all()
     np.testing.assert_allclose(result.state.E[0], 1.5, rtol=0.02)
     assert (result.state.E[1] < 0.02).all()
@@ -172,16 +209,16 @@ def test_several_lamps_none_negative():
 
 def test_nothing_seen_is_no_crash():
     problem, *_ = made(COLOURS, unseen=(1, 2, 3, 4, 5))
-    result = reflectance.gauss_newton(problem)
+    result = gauss_newton.gauss_newton(problem)
     assert not result.converged and np.isfinite(result.state.rho).all()
-    assert result.sigma_gamma is None and result.sigma_rho is None        # unknown, not NaN
+    assert result.sigma_gamma is None and result.sigma_rho is None  # unknown, not NaN
 
 
 def test_a_wrong_lamp_shows_in_the_picture_error():
     """Twice the power cannot be explained away where walls reflect: the error grows, nothing breaks."""
     problem, *_ = made(COLOURS)
-    right = reflectance.gauss_newton(problem)
-    wrong = reflectance.gauss_newton(replace(problem, emittance=problem.emittance * 2))
+    right = gauss_newton.gauss_newton(problem)
+    wrong = gauss_newton.gauss_newton(replace(problem, emittance=problem.emittance * 2))
     assert np.isfinite(wrong.state.rho).all() and wrong.rmse > 5 * right.rmse
 
 
@@ -191,9 +228,9 @@ def test_what_nothing_determines_has_a_sigma_as_large_as_itself():
     dark = replace(problem, F=csr_array((6, 6)), G=csr_array(problem.G.shape), G_plain=csr_array(problem.G.shape))
     seen = rho[problem.tile_group] * problem.D_tile * 0.9
     dark = replace(dark, pixels=np.repeat(seen, 40, axis=0))
-    free = reflectance.gauss_newton(dark)
+    free = gauss_newton.gauss_newton(dark)
     assert (free.sigma_E > 0.5 * free.state.E).all() and (free.sigma_rho[1:] > 0.5 * free.state.rho[1:]).all()
-    result, scale = reflectance.fit(dark)
+    result, scale = gauss_newton.fit(dark)
     assert scale == "convention" and (result.state.E == 1).all()
     np.testing.assert_allclose(result.state.rho[1:], 0.9 * rho[1:], rtol=1e-4)
 
@@ -203,11 +240,12 @@ def test_a_lamp_that_lights_nothing_seen_is_unknown():
     known = problem.rho.copy()
     known[1] = COLOURS[0]
     off = replace(problem, rho=known, D=problem.D * [1, 0], D_tile=problem.D_tile * [1, 0])
-    result = reflectance.gauss_newton(off)
+    result = gauss_newton.gauss_newton(off)
     assert (result.sigma_E[1] >= result.state.E[1]).all() and np.isfinite(result.sigma_rho).all()
 
 
 # -- the paper's alternation
+
 
 def faces(rho):
     """A cube with one black emitting face and five alike; one tile per face that sees what the face sees."""
@@ -215,21 +253,29 @@ def faces(rho):
     F = cube()
     b = np.linalg.solve(np.eye(6) - rho_all * F, rho_all[:, 0] * F[:, 0] * 1.5)
     B = rho_all[1:] * (F[1:, :1] * 1.5 + (F @ b)[1:, None])
-    return replace(problem, G=csr_array(F[1:]), G_plain=csr_array(F[1:]), D_tile=F[1:, :1], tile_group=np.arange(1, 6), tile_object=np.zeros(5, int),
-                   start=np.arange(6), pixels=B)
+    return replace(
+        problem,
+        G=csr_array(F[1:]),
+        G_plain=csr_array(F[1:]),
+        D_tile=F[1:, :1],
+        tile_group=np.arange(1, 6),
+        tile_object=np.zeros(5, int),
+        start=np.arange(6),
+        pixels=B,
+    )
 
 
 @pytest.mark.parametrize("rho, most", [(0.45, 15), (0.55, 30), (0.60, 90)])
 def test_the_printed_update_slows_down(rho, most):
-    result = reflectance.paper(faces(rho), max_inner=200)
+    result = paper.paper(faces(rho), most=200)
     assert result.converged and result.iterations <= most
     np.testing.assert_allclose(result.state.rho[1:], rho, rtol=5e-3)
 
 
 @pytest.mark.parametrize("rho", [0.7, 0.8, 0.85])
 def test_the_printed_update_diverges_in_bright_rooms_and_the_damped_one_does_not(rho):
-    assert not reflectance.paper(faces(rho), max_inner=300).converged
-    damped = reflectance.paper(faces(rho), damped=True)
+    assert not paper.paper(faces(rho), most=300).converged
+    damped = paper.paper(faces(rho), damped=True)
     assert damped.converged and damped.iterations <= 10
     np.testing.assert_allclose(damped.state.rho[1:], rho, rtol=5e-3)
 
@@ -237,13 +283,16 @@ def test_the_printed_update_diverges_in_bright_rooms_and_the_damped_one_does_not
 def test_the_spread_criterion_of_46():
     """Printed, one object in shadow ({.3, 1, 1}) throws out both good ones; on |ln epsilon| it is the one thrown out."""
     epsilon, pixels = np.array([0.3, 1.0, 1.0]), np.ones(3)
-    assert reflectance._group_correction(epsilon, pixels, symmetric=False) == pytest.approx(0.3)
-    assert reflectance._group_correction(epsilon, pixels, symmetric=True) == pytest.approx(1.0)
+    assert paper.group_correction(epsilon, pixels, symmetric=False) == pytest.approx(0.3)
+    assert paper.group_correction(epsilon, pixels, symmetric=True) == pytest.approx(1.0)
 
 
 # -- transfer
 
-@pytest.mark.parametrize("transfer", [Transfer("gamma", 2.2), Transfer("gamma", 0.5), Transfer("srgb"), Transfer("linear")])
+
+@pytest.mark.parametrize(
+    "transfer", [Transfer("gamma", 2.2), Transfer("gamma", 0.5), Transfer("srgb"), Transfer("linear")]
+)
 def test_transfer_and_its_inverse(transfer):
     B = np.linspace(0, 1, 1001)
     np.testing.assert_allclose(transfer.linear(transfer.display(B)), B, atol=2e-7)
@@ -259,7 +308,7 @@ def test_slope_against_differences(transfer):
 
 def test_tiles_average_before_the_power():
     """Trap 2: of displays 0 and 1 under gamma 2 the linear mean is 0.5, not (0.5)^2."""
-    tiles = Tiles(np.array([[0.0], [1.0], [0.5], [0.5]]), np.array([0, 2, 4]))
+    tiles = TilePixels(np.array([[0.0], [1.0], [0.5], [0.5]]), np.array([0, 2, 4]))
     mean, _ = tiles.linear(Transfer("gamma", 2.0))
     np.testing.assert_allclose(mean[:, 0], [0.5, 0.25], atol=1e-5)
 
@@ -269,7 +318,7 @@ def test_tile_means_derivative_in_gamma(bits):
     rng = np.random.default_rng(1)
     pixels = rng.uniform(0.1, 0.9, (60, 3))
     pixels = np.round(pixels * bits) / bits if bits else pixels
-    tiles = Tiles(pixels, np.arange(0, 61, 10))
+    tiles = TilePixels(pixels, np.arange(0, 61, 10))
     _, slope = tiles.linear(Transfer("gamma", 2.0))
     there, back = (tiles.linear(Transfer("gamma", 2.0 + s))[0] for s in (1e-5, -1e-5))
     np.testing.assert_allclose(slope, (there - back) / 2e-5, rtol=1e-6)

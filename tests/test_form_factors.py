@@ -5,13 +5,17 @@ Bounds of the methods, measured and tested here:
   rays       a factor between facets: 3 sigma of counting, sqrt(F (1 - F) / rays); a row's irradiance far better
   hemicube   from the centre of a patch: the outline in pixels times the largest delta factor, 4 / (pi R^2)
 """
+
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lib import exact_factors, form_factors, hemicube, mesh, model, radiosity
-from tests import rooms
+from lib.buffers import opengl
+from lib.given import model
+from lib.light import adapt, exact_factors, form_factors, hemicube, radiosity, surface
+from lib.light import lamps as lamps_
+from tests.helpers import rooms
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
 
@@ -40,12 +44,19 @@ def rotation(seed):
     return q * np.linalg.det(q)
 
 
-CLOSED = [(*facing(1, 1), 0.19982489569838746), (*facing(1, 0.5), 0.41525328357714675), (*facing(1, 2), 0.0685895888185526),
-          (*facing(10, 1), 0.8269945223972565), (*corner(1, 1, 1), 0.20004377607540316), (*corner(1, 2, 1), 0.11642630139768095),
-          (*corner(2, 1, 1), 0.2328526027953619)]
+CLOSED = [
+    (*facing(1, 1), 0.19982489569838746),
+    (*facing(1, 0.5), 0.41525328357714675),
+    (*facing(1, 2), 0.0685895888185526),
+    (*facing(10, 1), 0.8269945223972565),
+    (*corner(1, 1, 1), 0.20004377607540316),
+    (*corner(1, 2, 1), 0.11642630139768095),
+    (*corner(2, 1, 1), 0.2328526027953619),
+]
 
 
 # -- analytic: closed forms
+
 
 @pytest.mark.parametrize("P, Q, expected", CLOSED)
 def test_polygons_in_closed_form(P, Q, expected):
@@ -60,16 +71,22 @@ def test_polygons_in_closed_form(P, Q, expected):
 @pytest.mark.parametrize("n, bound", [(64, 1e-7), (128, 1e-8), (256, 1e-9)])
 def test_disks_as_polygons(n, bound):
     """Coaxial unit disks: (3 - sqrt 5) / 2; n-gons of equal area differ by the shape of their rim alone."""
-    assert exact_factors.polygon_to_polygon(disk(n), disk(n, 1, up=False)) == pytest.approx((3 - np.sqrt(5)) / 2, abs=bound)
+    assert exact_factors.polygon_to_polygon(disk(n), disk(n, 1, up=False)) == pytest.approx(
+        (3 - np.sqrt(5)) / 2, abs=bound
+    )
 
 
 @pytest.mark.parametrize("angle", [1e-3, 0.3, 1.0, 2.0, 3.0, np.pi - 1e-3])
 def test_wedges(angle):
     """Infinitely long plates of equal width: 1 - sin(angle / 2) (strings). Long ones come near it from below."""
+
     def wedge(length):
         floor = SQUARE * [length, 1, 0]
-        wall = np.array([[0, 0, 0], [0, np.cos(angle), np.sin(angle)], [length, np.cos(angle), np.sin(angle)], [length, 0, 0.0]])
+        wall = np.array(
+            [[0, 0, 0], [0, np.cos(angle), np.sin(angle)], [length, np.cos(angle), np.sin(angle)], [length, 0, 0.0]]
+        )
         return exact_factors.polygon_to_polygon(floor, wall)
+
     exact = 1 - np.sin(angle / 2)
     a, b = wedge(1e3), wedge(1e4)
     assert 0 < exact - b < (exact - a) * 0.11 and exact - a < 2e-3 * exact
@@ -81,15 +98,22 @@ def test_points():
     assert exact_factors.point_to_polygon([0, 0, 0], [0, 0, 1], above) == pytest.approx(0.23945647046077354, abs=1e-15)
     beside = np.array([[0, 1, 0], [1, 1, 0], [1, 1, 1], [0, 1, 1.0]])
     assert exact_factors.point_to_polygon([0, 0, 0], [0, 0, 1], beside) == pytest.approx(0.05573419700255351, abs=1e-15)
-    down = beside - [0, 0, 0.5]                                   # half of it under the horizon
+    down = beside - [0, 0, 0.5]  # half of it under the horizon
     half = beside * [1, 1, 0.5]
-    assert exact_factors.point_to_polygon([0, 0, 0], [0, 0, 1], down) == pytest.approx(exact_factors.point_to_polygon([0, 0, 0], [0, 0, 1], half), abs=1e-15)
+    assert exact_factors.point_to_polygon([0, 0, 0], [0, 0, 1], down) == pytest.approx(
+        exact_factors.point_to_polygon([0, 0, 0], [0, 0, 1], half), abs=1e-15
+    )
     assert exact_factors.point_to_polygon([0, 0, 0], [0, 0, -1], above) == 0
-    assert exact_factors.point_to_polygon([0, 0, 1 - 1e-9], [0, 0, 1], above) == pytest.approx(1, abs=1e-8), "up against it"
-    assert exact_factors.point_to_polygon([2, 0, 1], [0, 0, 1], above) == pytest.approx(0, abs=1e-15), "beside it on its plane"
+    assert exact_factors.point_to_polygon([0, 0, 1 - 1e-9], [0, 0, 1], above) == pytest.approx(1, abs=1e-8), (
+        "up against it"
+    )
+    assert exact_factors.point_to_polygon([2, 0, 1], [0, 0, 1], above) == pytest.approx(0, abs=1e-15), (
+        "beside it on its plane"
+    )
 
 
 # -- analytic: other evidence, and laws
+
 
 def test_skew_polygons_against_quadrature():
     """Nothing parallel: Lambert's formula, integrated over the first polygon with 60 x 60 Gauss points."""
@@ -98,10 +122,14 @@ def test_skew_polygons_against_quadrature():
     Q = Q if np.cross(Q[1] - Q[0], Q[2] - Q[0])[2] < 0 else Q[::-1]
     x, w = np.polynomial.legendre.leggauss(60)
     x, w = (x + 1) / 2, w / 2
-    by_points = sum(w[i] * w[j] * exact_factors.point_to_polygon([x[i], x[j], 0], [0, 0, 1], Q) for i in range(60) for j in range(60))
+    by_points = sum(
+        w[i] * w[j] * exact_factors.point_to_polygon([x[i], x[j], 0], [0, 0, 1], Q)
+        for i in range(60)
+        for j in range(60)
+    )
     F = exact_factors.polygon_to_polygon(P, Q)
-    assert F == pytest.approx(by_points, abs=1e-10)
-    assert F * 1 == pytest.approx(exact_factors.polygon_to_polygon(Q, P) * 0.64, abs=1e-13)
+    assert pytest.approx(by_points, abs=1e-10) == F
+    assert pytest.approx(exact_factors.polygon_to_polygon(Q, P) * 0.64, abs=1e-13) == F * 1
 
 
 def test_sums_of_triangles():
@@ -112,7 +140,9 @@ def test_sums_of_triangles():
         for i in range(4):
             p = np.array([p0, P[i], P[(i + 1) % 4]])
             area = np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0])) / 2
-            total += area * sum(exact_factors.polygon_to_polygon(p, np.array([q0, Q[j], Q[(j + 1) % 4]])) for j in range(4))
+            total += area * sum(
+                exact_factors.polygon_to_polygon(p, np.array([q0, Q[j], Q[(j + 1) % 4]])) for j in range(4)
+            )
         area = np.linalg.norm(np.cross(P[1] - P[0], P[3] - P[0]))
         assert total / area == pytest.approx(expected, abs=1e-10)
 
@@ -123,16 +153,19 @@ def test_horizon():
     upper = whole.copy()
     upper[[0, 3], 2] = 0
     for Q in (whole, whole[::-1]):
-        assert exact_factors.polygon_to_polygon(SQUARE, Q) == pytest.approx(exact_factors.polygon_to_polygon(SQUARE, np.where(Q == -1, 0, Q)), abs=1e-12)
+        assert exact_factors.polygon_to_polygon(SQUARE, Q) == pytest.approx(
+            exact_factors.polygon_to_polygon(SQUARE, np.where(Q == -1, 0, Q)), abs=1e-12
+        )
     assert exact_factors.polygon_to_polygon(SQUARE, whole) > 0.01
     below = SQUARE[::-1] - [0, 0, 1]
     assert exact_factors.polygon_to_polygon(SQUARE, below) == 0
     assert exact_factors.polygon_to_polygon(SQUARE, SQUARE + [2, 0, 0]) == 0, "coplanar"
     assert exact_factors.polygon_to_polygon(SQUARE, SQUARE[::-1]) == 0, "back to back"
     assert exact_factors.polygon_to_polygon(SQUARE, SQUARE + [0, 0, 1]) == 0, "its back"
-    L = np.array([[0, 0, 1], [0, 2, 1], [1, 2, 1], [1, 1, 1], [2, 1, 1], [2, 0, 1.0]])         # concave, faces down
-    parts = exact_factors.polygon_to_polygon(SQUARE, np.array([[0, 0, 1], [0, 1, 1], [2, 1, 1], [2, 0, 1.0]])) \
-        + exact_factors.polygon_to_polygon(SQUARE, np.array([[0, 1, 1], [0, 2, 1], [1, 2, 1], [1, 1, 1.0]]))
+    L = np.array([[0, 0, 1], [0, 2, 1], [1, 2, 1], [1, 1, 1], [2, 1, 1], [2, 0, 1.0]])  # concave, faces down
+    parts = exact_factors.polygon_to_polygon(
+        SQUARE, np.array([[0, 0, 1], [0, 1, 1], [2, 1, 1], [2, 0, 1.0]])
+    ) + exact_factors.polygon_to_polygon(SQUARE, np.array([[0, 1, 1], [0, 2, 1], [1, 2, 1], [1, 1, 1.0]]))
     assert exact_factors.polygon_to_polygon(SQUARE, L) == pytest.approx(parts, abs=1e-12)
 
 
@@ -140,12 +173,14 @@ def test_horizon():
 def test_touching_and_nearly_touching(gap):
     """Plates that close in on each other: F goes to 1, linearly in the gap; touching they are one plane, and nothing passes."""
     F = exact_factors.polygon_to_polygon(*facing(1, gap))
-    if gap <= 1e-9:                        # within FLAT of each other: the same plane
+    if gap <= 1e-9:  # within FLAT of each other: the same plane
         assert F == 0
     else:
         assert 1 - 3 * gap < F < 1
     wall = corner(1, 1, 1)[1] + [0, -gap, 0]
-    assert exact_factors.polygon_to_polygon(SQUARE, wall) == pytest.approx(0.20004377607540316, abs=max(gap * 20, 1e-12))
+    assert exact_factors.polygon_to_polygon(SQUARE, wall) == pytest.approx(
+        0.20004377607540316, abs=max(gap * 20, 1e-12)
+    )
 
 
 @pytest.mark.parametrize("width", [1e-3, 1e-6, 1e-9, 1e-12])
@@ -153,7 +188,9 @@ def test_slivers(width):
     """A sliver is lit like the line it is: F over width tends to a constant; reciprocity keeps its digits."""
     sliver = (SQUARE * [1, width, 1])[::-1] + [0, 0.5, 1]
     F = exact_factors.polygon_to_polygon(SQUARE, sliver)
-    assert F / width == pytest.approx(exact_factors.polygon_to_polygon(sliver, SQUARE), rel=1e-3 * width + 1e-16 / width + 1e-12)
+    assert F / width == pytest.approx(
+        exact_factors.polygon_to_polygon(sliver, SQUARE), rel=1e-3 * width + 1e-16 / width + 1e-12
+    )
     assert exact_factors.polygon_to_polygon(sliver, SQUARE) == pytest.approx(0.2395, abs=0.03)
 
 
@@ -172,13 +209,14 @@ def test_without_area():
 
 # -- a mesh by the three methods
 
+
 def by(method, s, m, fine=1):
     if method == "rays":
         return form_factors.rays(s, m, n_rays=1024 * fine)
     if method == "hemicube":
         try:
             return hemicube.rows(s, m, resolution=64 * fine)
-        except hemicube.NoGraphics as error:
+        except opengl.NoGraphics as error:
             pytest.skip(str(error))
     return exact_factors.rows(s, m)
 
@@ -197,7 +235,11 @@ def between_facets(s, m, rows):
 
 
 every_method = pytest.mark.parametrize("method", ["analytic", "rays", "hemicube"])
-BOUND = {"analytic": 1e-6, "rays": 1e-3, "hemicube": 2e-3}         # of a factor between facets cut into PATCHES, at the settings of by()
+BOUND = {
+    "analytic": 1e-6,
+    "rays": 1e-3,
+    "hemicube": 2e-3,
+}  # of a factor between facets cut into PATCHES, at the settings of by()
 PATCHES = {"analytic": 60, "rays": 60, "hemicube": 960}
 
 
@@ -220,11 +262,13 @@ def test_hemicube_against_the_element(tmp_path, resolution):
     m = rooms.patches(s, 2)
     try:
         F = hemicube.rows(s, m, resolution=resolution).matrix().toarray()
-    except hemicube.NoGraphics as error:
+    except opengl.NoGraphics as error:
         pytest.skip(str(error))
-    bound = 2 * resolution * 4 / (np.pi * resolution ** 2)
+    bound = 2 * resolution * 4 / (np.pi * resolution**2)
     assert F.shape == (2, 2) and F[0, 0] == F[1, 1] == 0
-    assert F[0, 1] == pytest.approx(0.23945647046077354, abs=bound) and F[1, 0] == pytest.approx(0.23945647046077354, abs=bound)
+    assert F[0, 1] == pytest.approx(0.23945647046077354, abs=bound) and F[1, 0] == pytest.approx(
+        0.23945647046077354, abs=bound
+    )
 
 
 def test_several_hemicubes_are_an_area(tmp_path):
@@ -232,7 +276,7 @@ def test_several_hemicubes_are_an_area(tmp_path):
     s = rooms.surface(tmp_path / "m.obj", {"a": [("a", SQUARE)], "b": [("b", SQUARE[::-1] + [0, 0, 1])]})
     try:
         rows = hemicube.rows(s, rooms.patches(s, 2), resolution=64, points=64)
-    except hemicube.NoGraphics as error:
+    except opengl.NoGraphics as error:
         pytest.skip(str(error))
     assert rows.matrix().toarray() == pytest.approx(np.array([[0, 1], [1, 0]]) * 0.19982489569838746, abs=2e-3)
 
@@ -243,7 +287,7 @@ def test_delta_factors(resolution):
     top, side = hemicube.delta_factors(resolution)
     assert top.sum() + 4 * side.sum() == pytest.approx(1, abs=1e-13)
     assert top.sum() == pytest.approx(0.5541262, abs=1e-6)
-    assert 0 < min(top.min(), side.min()) and max(top.max(), side.max()) <= 4 / (np.pi * resolution ** 2)
+    assert min(top.min(), side.min()) > 0 and max(top.max(), side.max()) <= 4 / (np.pi * resolution**2)
 
 
 def test_hemicube_refuses(tmp_path, monkeypatch):
@@ -257,25 +301,37 @@ def test_hemicube_refuses(tmp_path, monkeypatch):
 
     def no_display(**_):
         raise OSError("libEGL.so.1:\n cannot open")
+
     monkeypatch.setattr("moderngl.create_context", no_display)
-    hemicube._context.cache_clear()
-    with pytest.raises(hemicube.NoGraphics, match="no EGL to draw hemicubes with .libEGL.so.1: cannot open.; use rays") as caught:
+    monkeypatch.setattr(opengl, "context", opengl.context.__wrapped__)  # as if none had been made
+    with pytest.raises(
+        opengl.NoGraphics, match="no EGL to draw hemicubes with .libEGL.so.1: cannot open.; use rays"
+    ) as caught:
         hemicube.rows(s, m, resolution=8)
     assert "\n" not in str(caught.value)
-    hemicube._context.cache_clear()
 
 
 @pytest.mark.parametrize("method", ["rays", "hemicube"])
-@pytest.mark.parametrize("side, expected", [(0.25, 0.169474204911787), (0.5, 0.099506294598985), (0.75, 0.029483544914760)])
+@pytest.mark.parametrize(
+    "side, expected", [(0.25, 0.169474204911787), (0.5, 0.099506294598985), (0.75, 0.029483544914760)]
+)
 def test_occluder(tmp_path, method, side, expected):
     """Parallel unit squares with an opaque square half way (DESIGN 5)."""
     low, high = 0.5 - side / 2, 0.5 + side / 2
-    s = rooms.surface(tmp_path / "m.obj", {"a": [("a", SQUARE)], "b": [("b", SQUARE[::-1] + [0, 0, 1])],
-                                          **rooms.panel("c", (low, low, 0.5), (high, low, 0.5), (high, high, 0.5), (low, high, 0.5))})
+    s = rooms.surface(
+        tmp_path / "m.obj",
+        {
+            "a": [("a", SQUARE)],
+            "b": [("b", SQUARE[::-1] + [0, 0, 1])],
+            **rooms.panel("c", (low, low, 0.5), (high, low, 0.5), (high, high, 0.5), (low, high, 0.5)),
+        },
+    )
     m = rooms.patches(s, 1200)
     AF, A, sides, _ = between_facets(s, m, by(method, s, m))
     assert list(sides) == [0, 2, 4, 5], "the occluder is lit on both sides"
-    assert AF[0, 1] / A[0] == pytest.approx(expected, abs=BOUND[method]) and AF[1, 0] / A[1] == pytest.approx(expected, abs=BOUND[method])
+    assert AF[0, 1] / A[0] == pytest.approx(expected, abs=BOUND[method]) and AF[1, 0] / A[1] == pytest.approx(
+        expected, abs=BOUND[method]
+    )
     with pytest.raises(exact_factors.NotExact, match="1 facets can stand between"):
         exact_factors.rows(s, m)
 
@@ -286,20 +342,42 @@ ROOMS = {
     "empty": rooms.room(),
     "lamp": rooms.room() | rooms.LAMP,
     "box": rooms.room() | rooms.LAMP | rooms.solid("a", 1, 1, 0.5, 2, 2, 1.2),
-    "touching": rooms.room() | rooms.LAMP | rooms.solid("a", 1, 1, 0, 2, 2, 0.7) | rooms.solid("b", 1.2, 1.2, 0.7, 1.5, 1.5, 1)
-    | rooms.solid("c", 2, 1, 0, 2.5, 2, 0.9) | rooms.solid("d", 3.5, 2, 0, 4, 3, 2),
-    "panels": rooms.room() | rooms.LAMP | rooms.panel("p", (1, 1, 1), (2, 1, 1), (2, 2, 1), (1, 2, 1))
+    "touching": rooms.room()
+    | rooms.LAMP
+    | rooms.solid("a", 1, 1, 0, 2, 2, 0.7)
+    | rooms.solid("b", 1.2, 1.2, 0.7, 1.5, 1.5, 1)
+    | rooms.solid("c", 2, 1, 0, 2.5, 2, 0.9)
+    | rooms.solid("d", 3.5, 2, 0, 4, 3, 2),
+    "panels": rooms.room()
+    | rooms.LAMP
+    | rooms.panel("p", (1, 1, 1), (2, 1, 1), (2, 2, 1), (1, 2, 1))
     | rooms.panel("q", (3, 0.5, 0), (3, 1.5, 0), (3, 1.5, 1.5), (3, 0.5, 1.5)),
-    "back to back": rooms.room() | rooms.LAMP | rooms.panel("p", (1, 1, 1), (2, 1, 1), (2, 2, 1), (1, 2, 1))
+    "back to back": rooms.room()
+    | rooms.LAMP
+    | rooms.panel("p", (1, 1, 1), (2, 1, 1), (2, 2, 1), (1, 2, 1))
     | rooms.panel("q", (1, 1, 1), (1, 2, 1), (2, 2, 1), (2, 1, 1)),
     "on the wall": rooms.room() | rooms.LAMP | rooms.panel("p", (1, 3, 1), (2, 3, 1), (2, 3, 2), (1, 3, 2)),
-    "overlapping": rooms.room() | rooms.LAMP | rooms.solid("a", 1, 1, 0, 2, 2, 0.7) | rooms.solid("b", 1.5, 1.5, 0, 2.5, 2.3, 1),
-    "t-junctions": {"room": [f for f in rooms.room()["room"] if f[0] != "bottom"]
-                    + [("bottom", [(0, 0, 0), (2, 0, 0), (2, 3, 0), (0, 3, 0)]), ("bottom", [(2, 0, 0), (4, 0, 0), (4, 1, 0), (2, 1, 0)]),
-                       ("bottom", [(2, 1, 0), (4, 1, 0), (4, 3, 0), (2, 3, 0)])]} | rooms.LAMP,
-    "slivers": rooms.room() | rooms.LAMP | rooms.panel("p", (1, 1, 1), (2, 1, 1), (2, 1 + 1e-6, 1))
+    "overlapping": rooms.room()
+    | rooms.LAMP
+    | rooms.solid("a", 1, 1, 0, 2, 2, 0.7)
+    | rooms.solid("b", 1.5, 1.5, 0, 2.5, 2.3, 1),
+    "t-junctions": {
+        "room": [f for f in rooms.room()["room"] if f[0] != "bottom"]
+        + [
+            ("bottom", [(0, 0, 0), (2, 0, 0), (2, 3, 0), (0, 3, 0)]),
+            ("bottom", [(2, 0, 0), (4, 0, 0), (4, 1, 0), (2, 1, 0)]),
+            ("bottom", [(2, 1, 0), (4, 1, 0), (4, 3, 0), (2, 3, 0)]),
+        ]
+    }
+    | rooms.LAMP,
+    "slivers": rooms.room()
+    | rooms.LAMP
+    | rooms.panel("p", (1, 1, 1), (2, 1, 1), (2, 1 + 1e-6, 1))
     | rooms.panel("q", (1, 1.5, 1), (2, 1.5, 1), (2, 1.5001, 1), (1, 1.5001, 1)),
-    "empty polygons": rooms.room() | rooms.LAMP | rooms.panel("p", (1, 1, 1), (2, 1, 1), (3, 1, 1)) | rooms.panel("q", (1, 1, 1), (1, 1, 1), (1, 1, 1)),
+    "empty polygons": rooms.room()
+    | rooms.LAMP
+    | rooms.panel("p", (1, 1, 1), (2, 1, 1), (3, 1, 1))
+    | rooms.panel("q", (1, 1, 1), (1, 1, 1), (1, 1, 1)),
 }
 
 
@@ -310,10 +388,15 @@ def furnished(tmp_path_factory):
 
     def get(name):
         if name not in kept:
-            s = rooms.surface(tmp_path_factory.mktemp("room") / "m.obj", ROOMS[name], lamps=("lamp",) if "lamp" in ROOMS[name] else ("top",))
+            s = rooms.surface(
+                tmp_path_factory.mktemp("room") / "m.obj",
+                ROOMS[name],
+                lamps=("lamp",) if "lamp" in ROOMS[name] else ("top",),
+            )
             m = rooms.patches(s, 300)
             kept[name] = s, m, form_factors.rays(s, m, n_rays=1024)
         return kept[name]
+
     return get
 
 
@@ -337,15 +420,15 @@ def test_reciprocity(furnished, name):
     s, m, rows = furnished(name)
     AF, A, side, variance = between_facets(s, m, rows)
     sigma = np.sqrt(variance + variance.T)
-    one = (m.area.max() / 1024) ** 2 * 9                                  # three rays, where few are expected
-    assert (np.abs(AF - AF.T) <= 3 * np.sqrt(sigma ** 2 + one / 9)).all()
+    one = (m.area.max() / 1024) ** 2 * 9  # three rays, where few are expected
+    assert (np.abs(AF - AF.T) <= 3 * np.sqrt(sigma**2 + one / 9)).all()
     a = m.area * rows.exposed
     K = (rows.matrix().toarray() * a[:, None]).astype(float)
-    per_ray = np.where(rows.valid > 0, a / np.maximum(rows.valid, 1), 0)     # what one ray counts
+    per_ray = np.where(rows.valid > 0, a / np.maximum(rows.valid, 1), 0)  # what one ray counts
     mean = (K + K.T) / 2
     sure = (mean > 10 * np.maximum(per_ray[:, None], per_ray[None])) & (mean > 0)
     z = (K - K.T)[sure] / np.sqrt(mean * (per_ray[:, None] + per_ray[None]))[sure]
-    assert (np.abs(z) > 3).mean() < 0.0027 and np.sqrt((z ** 2).mean()) < 1
+    assert (np.abs(z) > 3).mean() < 0.0027 and np.sqrt((z**2).mean()) < 1
 
 
 @every_room
@@ -357,8 +440,8 @@ def test_flux_balance(furnished, name):
     lamp = s.group[m.side // 2] == s.groups.index("lamp" if "lamp" in s.groups else "top")
     lamp &= m.side % 2 == 0
     phi = A[lamp].sum()
-    emitters = form_factors.emitters(s, ["lamp" if "lamp" in s.groups else "top"])
-    D = form_factors.patch_direct(s, m, emitters, 1, n_points=64, n_samples=16)[:, 0]
+    emitters = lamps_.emitters(s, ["lamp" if "lamp" in s.groups else "top"])
+    D = lamps_.patch_direct(s, m, emitters, 1, n_points=64, n_samples=16)[:, 0]
     assert (A * D).sum() == pytest.approx(phi, rel=2.5e-3)
     for rho in (0.3, 0.8):
         reflected = radiosity.solve(rho * D, np.full(len(m), rho), rows.matrix(), tolerance=1e-8).B
@@ -375,8 +458,8 @@ def test_furnace_in_a_room(furnished, name, rho):
     solution = radiosity.solve(np.ones(len(m)), np.full(len(m), rho), F, tolerance=1e-9)
     sums = F @ np.ones(len(m))
     exact = np.linalg.solve(np.eye(len(m)) - rho * F.toarray() / np.maximum(sums, 1)[:, None], np.ones(len(m)))
-    assert np.abs(solution.B - exact).max() <= solution.bound * 1.01 + 1e-8 / (1 - rho)      # the yardstick rounds, too
-    if rho < 0.999:          # beyond, the counts' rounding to single precision is itself a leak of some 1e-8
+    assert np.abs(solution.B - exact).max() <= solution.bound * 1.01 + 1e-8 / (1 - rho)  # the yardstick rounds, too
+    if rho < 0.999:  # beyond, the counts' rounding to single precision is itself a leak of some 1e-8
         assert solution.B[seen] == pytest.approx(1 / (1 - rho), rel=1e-4)
 
 
@@ -384,9 +467,15 @@ def test_the_empty_room_three_ways(furnished):
     """Every factor, and the light: analytic rows sum to 1; rays and hemicube stay within their bounds of it."""
     s, m, rays = furnished("empty")
     F = exact_factors.factors(s, m)
-    assert np.abs(F.sum(axis=1) - 1).max() < 1e-9 and np.abs(m.area[:, None] * F - (m.area[:, None] * F).T).max() < 1e-15
+    assert (
+        np.abs(F.sum(axis=1) - 1).max() < 1e-9 and np.abs(m.area[:, None] * F - (m.area[:, None] * F).T).max() < 1e-15
+    )
     light = np.random.default_rng(0).uniform(0, 1, 7)[np.unique(m.side, return_inverse=True)[1]]
-    for rows, single, irradiance in ((rays, 0.02, 4e-3), (by("hemicube", s, m), 0.02, 4e-3), (exact_factors.rows(s, m), 1e-7, 1e-6)):
+    for rows, single, irradiance in (
+        (rays, 0.02, 4e-3),
+        (by("hemicube", s, m), 0.02, 4e-3),
+        (exact_factors.rows(s, m), 1e-7, 1e-6),
+    ):
         G = rows.matrix().toarray()
         assert np.abs(G - F).max() < single and np.sqrt(((G @ light - F @ light) ** 2).mean()) < irradiance
         assert np.abs(rows.row_sums - 1).max() < 1e-5 and (rows.exposed == 1).all()
@@ -408,7 +497,12 @@ def test_hemicube_agrees_with_rays(furnished, name):
 
 # -- at the edge: the law for each case of DESIGN 6
 
-@pytest.mark.parametrize("scale, offset", [(1e-3 / 4, 0), (1e4 / 4, 0), (1.0, 1e6), (1.0, -1e6)], ids=["millimetre", "ten km", "far", "far west"])
+
+@pytest.mark.parametrize(
+    "scale, offset",
+    [(1e-3 / 4, 0), (1e4 / 4, 0), (1.0, 1e6), (1.0, -1e6)],
+    ids=["millimetre", "ten km", "far", "far west"],
+)
 def test_the_same_room_anywhere(tmp_path, furnished, scale, offset):
     """Invariance: metres or millimetres, here or a thousand kilometres away; factors and direct light are the same."""
     s0, m0, rows0 = furnished("touching")
@@ -417,9 +511,11 @@ def test_the_same_room_anywhere(tmp_path, furnished, scale, offset):
     assert np.array_equal(m.side, m0.side) and np.allclose(m.area, m0.area, rtol=1e-5 if offset else 1e-9)
     rows = form_factors.rays(s, m, n_rays=1024)
     difference = abs(rows.matrix() - rows0.matrix())
-    assert difference.sum() / len(m) < 2e-3 and difference.max() < 0.01, "a ray in a thousand may round to the neighbour"
-    lamps, lamps0 = (form_factors.emitters(x, ["lamp"]) for x in (s, s0))
-    D, D0 = (form_factors.patch_direct(x, y, z, 1, n_points=16) for x, y, z in ((s, m, lamps), (s0, m0, lamps0)))
+    assert difference.sum() / len(m) < 2e-3 and difference.max() < 0.01, (
+        "a ray in a thousand may round to the neighbour"
+    )
+    lamps, lamps0 = (lamps_.emitters(x, ["lamp"]) for x in (s, s0))
+    D, D0 = (lamps_.patch_direct(x, y, z, 1, n_points=16) for x, y, z in ((s, m, lamps), (s0, m0, lamps0)))
     assert np.allclose(D, D0, atol=2e-3) and np.abs(D - D0).mean() < 1e-4
 
 
@@ -449,7 +545,9 @@ def test_coplanar(furnished, tmp_path):
     wall = np.array(dict(rooms.room()["room"])["north"], float)
     exact = exact_factors.polygon_to_polygon(floor, P)
     assert with_poster[("bottom", 0), ("p", 0)] == pytest.approx(exact, abs=1e-3)
-    assert with_poster[("bottom", 0), ("north", 0)] == pytest.approx(exact_factors.polygon_to_polygon(floor, wall) - exact, abs=3e-3)
+    assert with_poster[("bottom", 0), ("north", 0)] == pytest.approx(
+        exact_factors.polygon_to_polygon(floor, wall) - exact, abs=3e-3
+    )
     north = s.group[m.side // 2] == s.groups.index("north")
     assert (m.area * rows.exposed)[north].sum() / m.area[north].sum() == pytest.approx(1 - 1 / 10, abs=2e-3)
 
@@ -461,17 +559,23 @@ def test_a_later_sheet_covers_an_earlier_one(tmp_path):
         objects = rooms.room() | rooms.LAMP
         for name in order:
             objects |= rooms.panel(name, *at)
-        F, names = group_factors(*(lambda s: (s, m := rooms.patches(s, 200), form_factors.rays(s, m, n_rays=1024)))(rooms.surface(tmp_path / "m.obj", objects)))
+        F, names = group_factors(
+            *(lambda s: (s, m := rooms.patches(s, 200), form_factors.rays(s, m, n_rays=1024)))(
+                rooms.surface(tmp_path / "m.obj", objects)
+            )
+        )
         assert F[("top", 0), (order[-1], 0)] > 0.02 and all((F.get((("top", 0), (n, 0)), 0) == 0) for n in order[:-1])
     ceiling = [(1.5, 1, 2.5), (1.5, 2, 2.5), (2.5, 2, 2.5), (2.5, 1, 2.5)]
-    s = rooms.surface(tmp_path / "m.obj", rooms.panel("lamp", *ceiling) | rooms.room())          # first in the file
+    s = rooms.surface(tmp_path / "m.obj", rooms.panel("lamp", *ceiling) | rooms.room())  # first in the file
     m = rooms.patches(s, 200)
     F, _ = group_factors(s, m, form_factors.rays(s, m, n_rays=1024))
     floor = np.array(dict(rooms.room()["room"])["bottom"], float)
-    assert F[("bottom", 0), ("lamp", 0)] == pytest.approx(exact_factors.polygon_to_polygon(floor, np.array(ceiling, float)), abs=1e-3)
-    lamps = form_factors.emitters(s, ["lamp"])
-    D = form_factors.patch_direct(s, m, lamps, 1, n_points=64)[:, 0]
-    assert (m.area * D).sum() == pytest.approx(s.local.diagonal ** -2, rel=2e-4), "no occluder: exact but for the points"
+    assert F[("bottom", 0), ("lamp", 0)] == pytest.approx(
+        exact_factors.polygon_to_polygon(floor, np.array(ceiling, float)), abs=1e-3
+    )
+    lamps = lamps_.emitters(s, ["lamp"])
+    D = lamps_.patch_direct(s, m, lamps, 1, n_points=64)[:, 0]
+    assert (m.area * D).sum() == pytest.approx(s.local.diagonal**-2, rel=2e-4), "no occluder: exact but for the points"
 
 
 def test_inside_solids_is_dark(furnished):
@@ -480,8 +584,16 @@ def test_inside_solids_is_dark(furnished):
     side, idx = np.unique(m.side, return_inverse=True)
     share = np.bincount(idx, m.area * rows.exposed) / np.bincount(idx, m.area)
     open_ = {(s.groups[s.group[x // 2]], tuple(np.rint(s.normal[x // 2]).astype(int))): v for x, v in zip(side, share)}
-    expected = {("a", (0, 0, 1)): 0.75, ("a", (1, 0, 0)): 0.5, ("a", (0, 1, 0)): 0.5, ("a", (-1, 0, 0)): 1, ("b", (-1, 0, 0)): 1 - 0.5 * 0.7 / 0.8,
-                ("b", (0, -1, 0)): 1 - 0.5 * 0.7, ("b", (0, 0, 1)): 1, ("bottom", (0, 0, 1)): 1 - (1 + 0.8 - 0.25) / 12}
+    expected = {
+        ("a", (0, 0, 1)): 0.75,
+        ("a", (1, 0, 0)): 0.5,
+        ("a", (0, 1, 0)): 0.5,
+        ("a", (-1, 0, 0)): 1,
+        ("b", (-1, 0, 0)): 1 - 0.5 * 0.7 / 0.8,
+        ("b", (0, -1, 0)): 1 - 0.5 * 0.7,
+        ("b", (0, 0, 1)): 1,
+        ("bottom", (0, 0, 1)): 1 - (1 + 0.8 - 0.25) / 12,
+    }
     for key, value in expected.items():
         assert open_[key] == pytest.approx(value, abs=3e-3), key
     assert not any(s.groups[s.group[x // 2]] in "ab" and x % 2 for x in side), "the inside of a solid has no patches"
@@ -495,14 +607,16 @@ def test_slivers_change_nothing(furnished):
         assert np.isfinite(rows.matrix().data).all() and np.isfinite(m.area).all() and (m.area > 0).all()
         other, names = group_factors(s, m, rows)
         if name == "t-junctions":
-            continue                       # three facets of one group: compared by their sum
+            continue  # three facets of one group: compared by their sum
         for key in plain:
             assert other[key] == pytest.approx(plain[key], abs=3e-3), (name, key)
     s, m, rows = furnished("t-junctions")
     AF, A, side, _ = between_facets(s, m, rows)
     floor = [i for i, x in enumerate(side) if s.groups[s.group[x // 2]] == "bottom"]
     top = next(i for i, x in enumerate(side) if s.groups[s.group[x // 2]] == "top")
-    assert len(floor) == 2 and AF[top, floor].sum() / A[top] == pytest.approx(plain[("top", 0), ("bottom", 0)], abs=1e-3)
+    assert len(floor) == 2 and AF[top, floor].sum() / A[top] == pytest.approx(
+        plain[("top", 0), ("bottom", 0)], abs=1e-3
+    )
 
 
 def test_a_room_with_a_gap_loses_what_escapes(tmp_path):
@@ -526,26 +640,29 @@ def test_a_room_with_a_gap_loses_what_escapes(tmp_path):
 def test_lamps_a_million_apart_in_size(tmp_path):
     """A panel of a square metre and one of a square millimetre: all that each sends arrives, and each keeps its digits."""
     small = [(3, 1, 2.4), (3, 1.001, 2.4), (3.001, 1.001, 2.4), (3.001, 1, 2.4)]
-    s = rooms.surface(tmp_path / "m.obj", rooms.room() | rooms.LAMP | rooms.panel("spot", *small), lamps=("lamp", "spot"))
+    s = rooms.surface(
+        tmp_path / "m.obj", rooms.room() | rooms.LAMP | rooms.panel("spot", *small), lamps=("lamp", "spot")
+    )
     m = rooms.patches(s, 300)
-    D = form_factors.patch_direct(s, m, form_factors.emitters(s, ["lamp", "spot"]), 2, n_points=64, n_samples=16)
-    arrives = (m.area[:, None] * D).sum(axis=0) * s.local.diagonal ** 2
+    D = lamps_.patch_direct(s, m, lamps_.emitters(s, ["lamp", "spot"]), 2, n_points=64, n_samples=16)
+    arrives = (m.area[:, None] * D).sum(axis=0) * s.local.diagonal**2
     assert arrives == pytest.approx([1, 1e-6], rel=2.5e-3)
     F = form_factors.rays(s, m, n_rays=256).matrix()
     B = radiosity.solve(0.5 * D * [1, 1e6], np.full(len(m), 0.5), F, tolerance=1e-8).B
-    light = (m.area[:, None] * (D * [1, 1e6] + F @ B)).sum(axis=0) * s.local.diagonal ** 2
+    light = (m.area[:, None] * (D * [1, 1e6] + F @ B)).sum(axis=0) * s.local.diagonal**2
     assert light == pytest.approx([2, 2], rel=2.5e-3), "flux / (1 - rho), both lamps at the same power"
 
 
 # -- subdivision
+
 
 def test_adapted_patches_are_worth_twice_as_many():
     """`office`, against 14,000 patches: the irradiance of the groups (mean error over those of 0.2 % of the surface or more) is as
     good from adapted patches as from twice as many uniform ones; patch by patch (root mean square over the surface), from
     half as many again."""
     scene = model.load(Path(__file__).resolve().parents[1] / "data" / "office" / "model.obj")
-    s = mesh.surface(scene, ["lamp"])
-    lamps = form_factors.emitters(s, ["lamp"])
+    s = surface.surface(scene, ["lamp"])
+    lamps = lamps_.emitters(s, ["lamp"])
     fine = rooms.patches(s, 14_000)
     reference, exposed = rooms.light_of(s, fine, lamps, 256)
     best, area = rooms.group_light(s, fine, reference, exposed)
@@ -554,9 +671,14 @@ def test_adapted_patches_are_worth_twice_as_many():
     def errors(m):
         light, open_ = rooms.light_of(s, m, lamps, 1024)
         of_group = rooms.group_light(s, m, light, open_)[0]
-        return len(m), np.abs(of_group / best - 1)[large].mean(), rooms.constant_light_error(s, m, light, fine, reference, exposed)
+        return (
+            len(m),
+            np.abs(of_group / best - 1)[large].mean(),
+            rooms.constant_light_error(s, m, light, fine, reference, exposed),
+        )
+
     uniform = np.array([errors(rooms.patches(s, n)) for n in (600, 1200, 2400, 4500)])
-    adapted = errors(mesh.build(s, patches=300, max_level=5, contrast=0.025, emitters=lamps))
+    adapted = errors(adapt.build(s, patches=300, max_level=5, contrast=0.025, emitters=lamps))
     for k, worth in ((1, 2.0), (2, 1.5)):
         as_good = np.exp(np.interp(np.log(adapted[k]), np.log(uniform[::-1, k]), np.log(uniform[::-1, 0])))
         assert as_good >= worth * adapted[0], (adapted, uniform)

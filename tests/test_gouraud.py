@@ -1,4 +1,5 @@
 """lib/gouraud.py and stages/radiosity.py: figure 3.9."""
+
 import json
 import subprocess
 import sys
@@ -16,27 +17,68 @@ def made(tmp_path_factory):
     """flat-grey's index and form factors, coarse, and its materials from truth (a test may read it)."""
     out = tmp_path_factory.mktemp("flat-grey")
     run = lambda *words: subprocess.run([sys.executable, *map(str, words)], cwd=ROOT, check=True, capture_output=True)
-    run("stages/index.py", "--model", SCENE / "model.obj", "--camera", SCENE / "left.posed.cameramodel", "--photograph", SCENE / "left.png",
-        "--facet", out / "facet.png")
-    run("stages/formfactors.py", "--model", SCENE / "model.obj", "--lamps", json.dumps(["lamp"]), "--formfactors", out / "f.npz",
-        "--patches", 100, "--contrast", 0.1, "--rays", 64)
+    run(
+        "stages/index.py",
+        "--model",
+        SCENE / "model.obj",
+        "--camera",
+        SCENE / "left.posed.cameramodel",
+        "--photograph",
+        SCENE / "left.png",
+        "--facet",
+        out / "facet.png",
+    )
+    run(
+        "stages/formfactors.py",
+        "--model",
+        SCENE / "model.obj",
+        "--lamps",
+        json.dumps(["lamp"]),
+        "--formfactors",
+        out / "f.npz",
+        "--patches",
+        100,
+        "--contrast",
+        0.1,
+        "--rays",
+        64,
+    )
     return out
 
 
 def spread(made, name, *more):
     out = made / f"{name}.png"
-    words = ["stages/radiosity.py", "--model", SCENE / "model.obj", "--camera", SCENE / "left.posed.cameramodel", "--photograph", SCENE / "left.png",
-             "--facet", made / "facet.png", "--formfactors", made / "f.npz", "--materials", SCENE / "truth" / "materials.json",
-             "--pictures", out, "--report", made / f"{name}.json", *more]
+    words = [
+        "stages/radiosity.py",
+        "--model",
+        SCENE / "model.obj",
+        "--camera",
+        SCENE / "left.posed.cameramodel",
+        "--photograph",
+        SCENE / "left.png",
+        "--facet",
+        made / "facet.png",
+        "--formfactors",
+        made / "f.npz",
+        "--materials",
+        SCENE / "truth" / "materials.json",
+        "--pictures",
+        out,
+        "--report",
+        made / f"{name}.json",
+        *more,
+    ]
     done = subprocess.run([sys.executable, *map(str, words)], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return out, json.loads((made / f"{name}.json").read_text())
 
 
 def test_every_solver_draws_the_same_end(made):
-    from lib import form_factors, gouraud, rendering
-    factors = form_factors.read(made / "f.npz")
-    found = rendering.read_materials(str(SCENE / "truth" / "materials.json"), factors.groups, factors.lamps, 1)
+    from lib.light import factors_file
+    from lib.picture import appearance, gouraud
+
+    factors = factors_file.read(made / "f.npz")
+    found, _, _ = appearance.read(str(SCENE / "truth" / "materials.json"), factors.groups, factors.lamps, 1, 0)
     rho, lamps = found.rho, found.E
     exact = gouraud.solve(factors, rho, lamps, method="direct", tolerance=1e-9).B
     for method in ("krylov", "gauss_seidel", "jacobi", "southwell"):
@@ -49,22 +91,27 @@ def test_every_solver_draws_the_same_end(made):
 
 def test_the_stage_writes_its_sheet(made):
     import cv2
+
     picture, report = spread(made, "progressive", "--method", "progressive")
     assert report["status"] == "converged" and report["pictures"] > 5
     image = cv2.imread(str(picture))
     rows = -(-report["pictures"] // 4)
     assert image.shape == (rows * 180, 4 * 240, 3)
-    first, last = image[:180, :240], image[-180:][:, (report["pictures"] - 1) % 4 * 240:][:, :240]
-    assert last.mean() > first.mean() > 10                        # light arrives
+    first, last = image[:180, :240], image[-180:][:, (report["pictures"] - 1) % 4 * 240 :][:, :240]
+    assert last.mean() > first.mean() > 10  # light arrives
     residual = [point["residual"] for point in report["trace"]]
     assert residual[-1] < 0.01 * residual[0]
 
 
 def test_a_constant_radiosity_is_drawn_constant(made):
-    from lib import cameras, form_factors, gouraud, image, mesh, model
-    factors = form_factors.read(made / "f.npz")
+    from lib.given import cameras, image, model
+    from lib.light import factors_file
+    from lib.light import surface as surfaces
+    from lib.picture import gouraud
+
+    factors = factors_file.read(made / "f.npz")
     facet = image.read_labels(made / "facet.png") - 1
-    surface = mesh.surface(model.load(SCENE / "model.obj"), factors.lamps)
+    surface = surfaces.surface(model.load(SCENE / "model.obj"), factors.lamps)
     canvas = gouraud.Canvas(surface, factors.mesh, cameras.read_cameramodel(SCENE / "left.posed.cameramodel"), facet)
     drawn = canvas.draw(np.full((len(factors.mesh), 1), 0.7))[facet >= 0]
-    assert np.mean(np.abs(drawn - 0.7) < 1e-9) > 0.99             # all but the cracks of contacts
+    assert np.mean(np.abs(drawn - 0.7) < 1e-9) > 0.99  # all but the cracks of contacts

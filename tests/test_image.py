@@ -1,27 +1,30 @@
 """Image files: what is written is read again to the last bit; what is damaged is refused in one line."""
+
 import cv2
 import numpy as np
 import pytest
 
-from lib import image
-from lib.stage import BadInput
+from lib.core.stage import BadInput
+from lib.given import image
 
 RNG = np.random.default_rng(0)
 COLOUR8 = RNG.integers(0, 256, (13, 17, 3), dtype=np.uint8)
 COLOUR16 = RNG.integers(0, 65536, (13, 17, 3), dtype=np.uint16)
 
 
-@pytest.mark.parametrize("stored, write, white", [(COLOUR8, image.write_png8, 255), (COLOUR16, image.write_png16, 65535)])
+@pytest.mark.parametrize(
+    "stored, write, white", [(COLOUR8, image.write_png8, 255), (COLOUR16, image.write_png16, 65535)]
+)
 def test_png_there_and_back(tmp_path, stored, write, white):
     write(tmp_path / "a.png", stored)
     photograph = image.read_photograph(tmp_path / "a.png")
-    assert np.array_equal(photograph.values * white, stored)                 # RGB stays RGB
+    assert np.array_equal(photograph.values * white, stored)  # RGB stays RGB
     assert photograph.bits == (8 if white == 255 else 16) and not photograph.linear and photograph.channels_in_file == 3
 
 
 def test_channel_order(tmp_path):
     """Red is the first channel: written here by hand, as a PNG of one pixel (10, 20, 30)."""
-    cv2.imwrite(str(tmp_path / "a.png"), np.array([[[30, 20, 10]]], np.uint8))        # OpenCV stores B, G, R
+    cv2.imwrite(str(tmp_path / "a.png"), np.array([[[30, 20, 10]]], np.uint8))  # OpenCV stores B, G, R
     assert (image.read_photograph(tmp_path / "a.png").values * 255).ravel().tolist() == [10, 20, 30]
 
 
@@ -54,7 +57,7 @@ def test_jpeg(tmp_path):
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
 def test_exr_there_and_back(tmp_path, shape):
-    light = (RNG.lognormal(0, 3, shape) * 10).astype(np.float32)             # values above 1 are light
+    light = (RNG.lognormal(0, 3, shape) * 10).astype(np.float32)  # values above 1 are light
     image.write_exr(tmp_path / "a.exr", light)
     assert np.array_equal(image.read_exr(tmp_path / "a.exr"), light)
     photograph = image.read_photograph(tmp_path / "a.exr")
@@ -96,7 +99,7 @@ def test_truncated(tmp_path, kind, part):
     noise = RNG.random((60, 80, 3))
     image.write_exr(path, noise) if kind == "exr" else cv2.imwrite(str(path), (noise * 255).astype(np.uint8))
     content = path.read_bytes()
-    path.write_bytes(content[:part if part in (0, 1, 20) else int(len(content) * part)])
+    path.write_bytes(content[: part if part in (0, 1, 20) else int(len(content) * part)])
     with pytest.raises(BadInput) as refusal:
         image.read_photograph(path)
     assert refusal.value.problems[0].startswith(f"{path}: ")
@@ -111,8 +114,14 @@ def test_one_wrong_bit_in_a_png(tmp_path):
         image.read_photograph(tmp_path / "a.png")
 
 
-@pytest.mark.parametrize("name, content, says", [("a.png", b"hello", "not a readable image"), ("a.exr", b"hello", "not a readable EXR"),
-                                                 ("a.jpg", b"\xff\xd8hello", "end of a JPEG")])
+@pytest.mark.parametrize(
+    "name, content, says",
+    [
+        ("a.png", b"hello", "not a readable image"),
+        ("a.exr", b"hello", "not a readable EXR"),
+        ("a.jpg", b"\xff\xd8hello", "end of a JPEG"),
+    ],
+)
 def test_not_an_image(tmp_path, name, content, says):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BadInput, match=says):

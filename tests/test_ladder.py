@@ -1,11 +1,12 @@
 """The reflectance ladder, lib/ladder.py, lib/rungs.py, lib/receivers.py and stages/fit.py: self-consistency laws.
 
-The photographs here are made by our own renderer (lib.rendering) in small rooms, with noise and 8 bits, from materials that the
+The photographs here are made by our own renderer (lib.picture.rendering) in small rooms, with noise and 8 bits, from materials that the
 test chose. What the fit finds in them must be those materials, within its own sigma and the percent to which renderer and fit agree.
 Truth from outside, path-traced by Mitsuba, is in the shipped scenes (tests/test_scenes.py): a mistake that renderer and fit share shows only there.
 
 Where a law takes long, it runs with LADDER=long alone.
 """
+
 import os
 import subprocess
 import sys
@@ -13,17 +14,19 @@ import sys
 import numpy as np
 import pytest
 
-from lib import stage
-from tests import rooms
-from tests.small_scenes import Studio, fit_stage, photograph
-from tests.test_rendering import look
+from lib.core import stage
+from tests.helpers import rooms
+from tests.helpers.small_scenes import Studio, fit_stage, photograph
+from tests.helpers.views import look
 
-WALLS = {"bottom": .4, "top": .8, "west": .6, "east": .5, "south": .55, "north": .7}
+WALLS = {"bottom": 0.4, "top": 0.8, "west": 0.6, "east": 0.5, "south": 0.55, "north": 0.7}
 KNOWN = {"gamma": 2.2}
 E = (9.0,)
 CAMERA = look((3.8, 1.2, 1.5), (0, 1.5, 1.0), size=(96, 72), focal=56.0)
-PICTURE = rooms.panel("picture", (0, .6, .6), (0, 2.4, .6), (0, 2.4, 2.0), (0, .6, 2.0))        # on the west wall
-HIGH = rooms.panel("picture", (0, .8, 1.5), (0, 2.1, 1.5), (0, 2.1, 2.25), (0, .8, 2.25))       # a small one, where the lamp is mirrored
+PICTURE = rooms.panel("picture", (0, 0.6, 0.6), (0, 2.4, 0.6), (0, 2.4, 2.0), (0, 0.6, 2.0))  # on the west wall
+HIGH = rooms.panel(
+    "picture", (0, 0.8, 1.5), (0, 2.1, 1.5), (0, 2.1, 2.25), (0, 0.8, 2.25)
+)  # a small one, where the lamp is mirrored
 
 takes_long = pytest.mark.skipif(os.environ.get("LADDER") != "long", reason="LADDER=long runs it")
 
@@ -58,13 +61,22 @@ def high(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def grazing(tmp_path_factory):
-    return Room(tmp_path_factory.mktemp("grazing"), rooms.room() | rooms.LAMP, look((3.9, 1.5, .5), (0, 1.5, .35), size=(96, 72), focal=48.0))
+    return Room(
+        tmp_path_factory.mktemp("grazing"),
+        rooms.room() | rooms.LAMP,
+        look((3.9, 1.5, 0.5), (0, 1.5, 0.35), size=(96, 72), focal=48.0),
+    )
 
 
 def off(entry, name, true, share=0.01):
     """By how many times (3 sigma + 1 %) a value of a group is off, the largest of its channels."""
     sigma = np.array(entry["sigma"][name])
-    return float(np.max(np.abs(np.array(entry[name])[:len(np.atleast_1d(true))] - true) / (3 * sigma + share * np.abs(true) + 1e-9).max()))
+    return float(
+        np.max(
+            np.abs(np.array(entry[name])[: len(np.atleast_1d(true))] - true)
+            / (3 * sigma + share * np.abs(true) + 1e-9).max()
+        )
+    )
 
 
 def agree(found, true=WALLS, but=()):
@@ -72,7 +84,9 @@ def agree(found, true=WALLS, but=()):
     for name, rho in true.items():
         entry = found["groups"].get(name)
         if entry and name not in but and entry["identified"]:
-            assert entry["kind"] == "diffuse" and off(entry, "rho_d", rho) < 1 and max(entry["sigma"]["rho_d"]) < 0.05, (name, entry)
+            assert (
+                entry["kind"] == "diffuse" and off(entry, "rho_d", rho) < 1 and max(entry["sigma"]["rho_d"]) < 0.05
+            ), (name, entry)
 
 
 def kinds(found):
@@ -81,34 +95,54 @@ def kinds(found):
 
 # -- nothing to climb for
 
+
 def test_a_diffuse_room_stays_diffuse_and_builds_nothing(room, monkeypatch):
-    from lib import receivers
-    monkeypatch.setattr(receivers, "site", lambda *_, **__: pytest.fail("a Site was built"))
-    found, report = room.found({"picture": .3})
+    from lib.analysis import ascent
+
+    monkeypatch.setattr(ascent, "site_of", lambda *_, **__: pytest.fail("a Site was built"))
+    found, report = room.found({"picture": 0.3})
     assert kinds(found) == {} and report["ladder"]["rays"] == {} and max(report["ladder"]["diffuse"].values()) < 0.006
     assert all("ladder" not in entry for entry in found["groups"].values())
-    agree(found, WALLS | {"picture": .3})
+    agree(found, WALLS | {"picture": 0.3})
 
 
 def test_a_diffuse_room_imports_nothing_specular(room, root):
     """A new interpreter: what a diffuse scene does not use it does not load."""
-    room.write(photograph(room.seen({"picture": .3})))
-    code = "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__'); " \
-           "print(sorted({'lib.specular', 'lib.ward', 'lib.reflections', 'lib.rendering', 'lib.textures'} & set(sys.modules)))"
-    result = subprocess.run([sys.executable, "-c", code, "stages/fit.py", *room.words(lamps={"lamp": list(E)}, transfer=KNOWN)], cwd=root, capture_output=True, text=True)
+    room.write(photograph(room.seen({"picture": 0.3})))
+    never = [
+        "lib.light.specular",
+        "lib.light.chains",
+        "lib.light.paths",
+        "lib.light.ward_kernels",
+        "lib.light.mirror_view",
+        "lib.picture.reflections",
+        "lib.picture.rendering",
+        "lib.picture.albedo_maps",
+    ]
+    assert all((root / f"{name.replace('.', '/')}.py").is_file() for name in never)
+    code = (
+        "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__'); "
+        f"print(sorted(set({never}) & set(sys.modules)))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, "stages/fit.py", *room.words(lamps={"lamp": list(E)}, transfer=KNOWN)],
+        cwd=root,
+        capture_output=True,
+        text=True,
+    )
     assert result.returncode == 0 and result.stdout.strip() == "[]", result
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_noise_makes_no_wall_glossy(room, seed):
     """3 % noise at every pixel: the error is the noise, and no rung is worth its parameters."""
-    found, report = room.found({"picture": .3}, photo=dict(noise=0.03, seed=seed))
+    found, report = room.found({"picture": 0.3}, photo=dict(noise=0.03, seed=seed))
     assert kinds(found) == {} and report["ladder"]["rounds"] == 0
     agree(found)
 
 
 def test_ten_percent_noise_makes_no_wall_a_texture(room):
-    found, _ = room.found({"picture": .3}, photo=dict(noise=0.1, seed=1))
+    found, _ = room.found({"picture": 0.3}, photo=dict(noise=0.1, seed=1))
     assert kinds(found) == {}
 
 
@@ -130,6 +164,7 @@ def test_a_group_of_ten_pixels_is_not_judged(tmp_path):
 
 
 # -- mirrors
+
 
 def test_a_perfect_mirror(room):
     """rho_s is 1, to the last bit, and the wall that only the mirror shows is found."""
@@ -153,12 +188,12 @@ def test_a_grey_mirror_of_a_one_channel_photograph(room):
 
 def test_a_coloured_mirror_and_an_unknown_gamma(room):
     """Three channels, three rho_s; gamma is found with them."""
-    colour = np.array([1, .9, .8])
+    colour = np.array([1, 0.9, 0.8])
     walls = {name: rho * colour for name, rho in WALLS.items()}
-    lin = room.picture(walls | {"picture": ("mirror", [.9, .7, .4])}, [[9, 8.5, 8]])
+    lin = room.picture(walls | {"picture": ("mirror", [0.9, 0.7, 0.4])}, [[9, 8.5, 8]])
     found, _ = room.fit(photograph(lin, gamma=2.0), [[9, 8.5, 8]], transfer="gamma")
     assert kinds(found) == {"picture": "coloured_mirror"}
-    assert off(found["groups"]["picture"], "rho_s", [.9, .7, .4]) < 1
+    assert off(found["groups"]["picture"], "rho_s", [0.9, 0.7, 0.4]) < 1
     assert abs(found["transfer"]["gamma"] - 2.0) < 3 * found["transfer"]["sigma"] + 0.01
     agree(found, walls)
 
@@ -178,21 +213,25 @@ def test_a_mirror_at_three_percent_noise(room):
 
 def test_a_mirror_fills_the_picture(tmp_path):
     """Nothing is seen but by the mirror, and all of it is found: five walls and a box."""
-    inside = rooms.room() | rooms.LAMP | rooms.solid("box", 2.0, 1.7, 0, 2.8, 2.3, .8)
-    room = Room(tmp_path, inside, look((.8, 1.5, 1.3), (0, 1.5, 1.2), size=(96, 72), focal=50.0))
+    inside = rooms.room() | rooms.LAMP | rooms.solid("box", 2.0, 1.7, 0, 2.8, 2.3, 0.8)
+    room = Room(tmp_path, inside, look((0.8, 1.5, 1.3), (0, 1.5, 1.2), size=(96, 72), focal=50.0))
     assert room.pixels("west").all()
-    found, _ = room.found({"west": ("mirror", 1.0), "box": .3})
+    found, _ = room.found({"west": ("mirror", 1.0), "box": 0.3})
     assert kinds(found) == {"west": "mirror"} and found["groups"]["west"]["rho_s"] == [1.0] * 3
     assert all(entry["identified"] for entry in found["groups"].values())
-    agree(found, WALLS | {"box": .3}, but=("west",))
+    agree(found, WALLS | {"box": 0.3}, but=("west",))
 
 
 @takes_long
 @pytest.mark.parametrize("rho_s", [(1.0, 1.0), (0.9, 0.7)])
 def test_two_facing_mirrors(tmp_path, rho_s):
     """Each is seen in the other, again and again: both climb."""
-    two = rooms.panel("left", *PICTURE["picture"][0][1]) | rooms.panel("right", (4, .6, .6), (4, .6, 2.), (4, 2.4, 2.), (4, 2.4, .6))
-    room = Room(tmp_path, rooms.room() | rooms.LAMP | two, look((2.4, .15, 1.2), (2.0, 2.5, 1.2), size=(128, 72), focal=38.0))
+    two = rooms.panel("left", *PICTURE["picture"][0][1]) | rooms.panel(
+        "right", (4, 0.6, 0.6), (4, 0.6, 2.0), (4, 2.4, 2.0), (4, 2.4, 0.6)
+    )
+    room = Room(
+        tmp_path, rooms.room() | rooms.LAMP | two, look((2.4, 0.15, 1.2), (2.0, 2.5, 1.2), size=(128, 72), focal=38.0)
+    )
     found, _ = room.found({"left": ("mirror", rho_s[0]), "right": ("mirror", rho_s[1])})
     assert kinds(found) == dict.fromkeys(("left", "right"), "mirror" if rho_s[0] == 1 else "coloured_mirror")
     for name, true in zip(("left", "right"), rho_s):
@@ -202,7 +241,11 @@ def test_two_facing_mirrors(tmp_path, rho_s):
 
 # -- gloss
 
-@pytest.mark.parametrize("alpha, rho_d, rho_s", [pytest.param(0.03, 0.2, 0.3, marks=takes_long), (0.1, 0.2, 0.1), pytest.param(0.4, 0.2, 0.3, marks=takes_long)])
+
+@pytest.mark.parametrize(
+    "alpha, rho_d, rho_s",
+    [pytest.param(0.03, 0.2, 0.3, marks=takes_long), (0.1, 0.2, 0.1), pytest.param(0.4, 0.2, 0.3, marks=takes_long)],
+)
 def test_a_glossy_picture(room, alpha, rho_d, rho_s):
     """alpha, rho_s and rho_d together, from a lobe that shows the room (.03) to one that is nearly diffuse (.4)."""
     found, _ = room.found({"picture": (alpha, rho_d, rho_s)})
@@ -235,20 +278,20 @@ def test_a_glossy_group_of_two_hundred_pixels(high):
 @takes_long
 def test_a_brushed_picture(room):
     """Two alphas and the direction of the long one, which is none of the axes."""
-    found, _ = room.found({"picture": ((0.3, 0.06, (0, .8, .6)), 0.2, 0.3)})
+    found, _ = room.found({"picture": ((0.3, 0.06, (0, 0.8, 0.6)), 0.2, 0.3)})
     assert kinds(found) == {"picture": "glossy"}
     brushed = found["groups"]["picture"]
     assert brushed["ladder"]["rung"] == "anisotropic"
     for name, true in (("rho_d", 0.2), ("rho_s", 0.3), ("alpha", np.array([0.3, 0.06]))):
         assert off(brushed, name, true) < 1, (name, brushed)
-    turned = np.arccos(min(abs(np.dot(brushed["tangent"], (0, .8, .6))), 1))
+    turned = np.arccos(min(abs(np.dot(brushed["tangent"], (0, 0.8, 0.6))), 1))
     assert turned < 3 * brushed["sigma"]["tangent_rad"] + 0.005
     agree(found)
 
 
 def test_a_printed_pattern_is_a_texture(room):
     """What looks neither like the room nor like the lamp is no lobe; the mean of the albedo map is the mean of the print."""
-    lin = room.seen({"picture": .4}).copy()
+    lin = room.seen({"picture": 0.4}).copy()
     y, x = np.indices(room.facet.shape)
     lin[room.pixels("picture")] *= np.where((x // 5 + y // 5) % 2, 1.25, 0.75)[room.pixels("picture")][:, None]
     found, _ = room.fit(photograph(lin), E, transfer=KNOWN)
@@ -260,6 +303,7 @@ def test_a_printed_pattern_is_a_texture(room):
 
 
 # -- at the edge
+
 
 def test_a_glossy_floor_at_a_grazing_view(grazing):
     """Seen at 5 to 15 degrees: the walls are mirrored in it more than the lamp."""
@@ -277,7 +321,10 @@ def test_nobody_climbs_for_the_light_of_a_sharp_floor(grazing):
     assert kinds(found) == {"bottom": "glossy"}
 
 
-@pytest.mark.xfail(strict=True, reason="an error below the threshold (0.010 here) is in nobody's sigma: the ceiling, lit by that floor, is 12 sigma off")
+@pytest.mark.xfail(
+    strict=True,
+    reason="an error below the threshold (0.010 here) is in nobody's sigma: the ceiling, lit by that floor, is 12 sigma off",
+)
 def test_what_the_threshold_lets_pass_is_in_sigma(grazing):
     """A gloss too faint to be asked for: all stay diffuse, and nobody is surer than that allows."""
     found, _ = grazing.found({"bottom": (0.08, 0.3, 0.2)})
@@ -313,24 +360,35 @@ def open_scene(tmp_path_factory):
     """Two walls are missing, and the mirror shows the dark outside."""
     objects = rooms.room() | rooms.LAMP | PICTURE
     objects["room"] = [wall for wall in objects["room"] if wall[0] not in ("east", "south")]
-    return Room(tmp_path_factory.mktemp("open"), objects, look((5.8, 1.4, 1.3), (0, 1.5, 1.2), size=(96, 72), focal=90.0))
+    return Room(
+        tmp_path_factory.mktemp("open"), objects, look((5.8, 1.4, 1.3), (0, 1.5, 1.2), size=(96, 72), focal=90.0)
+    )
 
 
 def test_a_mirror_that_shows_nothing_is_not_identified(open_scene):
     """Black pixels tell nothing: no value is made up."""
     walls = {name: rho for name, rho in WALLS.items() if name in open_scene.groups}
     found, _ = open_scene.fit(photograph(black(open_scene)), E, transfer=KNOWN)
-    assert kinds(found) == {} and not found["groups"]["picture"]["identified"] and found["groups"]["picture"]["rho_d"] is None
+    assert (
+        kinds(found) == {}
+        and not found["groups"]["picture"]["identified"]
+        and found["groups"]["picture"]["rho_d"] is None
+    )
     assert set(found["groups"]) == {*walls, "picture"}
 
 
 def black(open_scene):
     if "black" not in open_scene.kept:
-        open_scene.kept["black"] = open_scene.picture({n: rho for n, rho in WALLS.items() if n in open_scene.groups} | {"picture": ("mirror", 1.0)}, E)
+        open_scene.kept["black"] = open_scene.picture(
+            {n: rho for n, rho in WALLS.items() if n in open_scene.groups} | {"picture": ("mirror", 1.0)}, E
+        )
     return open_scene.kept["black"]
 
 
-@pytest.mark.xfail(strict=True, reason="a group of black pixels is unknown to the fit, which thinks it diffuse with the prior's rho_d (.64): the floor, which the mirror lights, is 14 sigma off")
+@pytest.mark.xfail(
+    strict=True,
+    reason="a group of black pixels is unknown to the fit, which thinks it diffuse with the prior's rho_d (.64): the floor, which the mirror lights, is 14 sigma off",
+)
 def test_a_mirror_that_shows_nothing_spoils_nobody(open_scene):
     found, _ = open_scene.fit(photograph(black(open_scene)), E, transfer=KNOWN)
     agree(found)
@@ -344,6 +402,7 @@ def test_a_mirror_that_shows_nothing_and_is_named(open_scene):
 
 
 # -- what scene.yaml says
+
 
 def test_said_to_be_diffuse(room):
     """A mirror that is said to be diffuse stays diffuse: the error shows what that is worth."""
@@ -373,40 +432,41 @@ def test_said_to_be_a_mirror_that_is_grey(room):
 
 def test_said_to_be_glossy_and_is_diffuse(room):
     """rho_s is 0 within its sigma, and nobody else suffers."""
-    found, _ = room.found({"picture": .3}, surfaces={"picture": "glossy"})
+    found, _ = room.found({"picture": 0.3}, surfaces={"picture": "glossy"})
     assert kinds(found) == {"picture": "glossy"}
-    assert off(found["groups"]["picture"], "rho_s", 0) < 1 and off(found["groups"]["picture"], "rho_d", .3) < 1
+    assert off(found["groups"]["picture"], "rho_s", 0) < 1 and off(found["groups"]["picture"], "rho_d", 0.3) < 1
     agree(found)
 
 
 def test_said_to_be_a_mirror_and_is_diffuse(room):
     """What is given is kept, even if it is wrong."""
-    found, _ = room.found({"picture": .3}, surfaces={"picture": "mirror"})
+    found, _ = room.found({"picture": 0.3}, surfaces={"picture": "mirror"})
     assert kinds(found)["picture"] == "mirror"
 
 
 @pytest.mark.parametrize("kind", ["mirror", "coloured_mirror"])
 def test_a_mirror_that_no_pixel_shows(room, kind):
     """What is said of it is kept: its light goes on to all others, who are found."""
-    found, _ = room.found({"picture": .3, "east": ("mirror", 1.0)}, surfaces={"east": kind})
+    found, _ = room.found({"picture": 0.3, "east": ("mirror", 1.0)}, surfaces={"east": kind})
     assert kinds(found) == {"east": kind} and off(found["groups"]["east"], "rho_s", 1.0) < 1
     agree(found, but=("east",))
 
 
 def test_a_glossy_group_that_no_pixel_shows(room):
     """Nobody knows its lobe: the run goes on, and says that it is not identified."""
-    found, _ = room.found({"picture": .3}, surfaces={"east": "glossy"})
+    found, _ = room.found({"picture": 0.3}, surfaces={"east": "glossy"})
     assert not found["groups"]["east"]["identified"]
     agree(found)
 
 
 def test_a_textured_group_that_no_pixel_shows(room):
-    found, _ = room.found({"picture": .3}, surfaces={"east": "textured"})
+    found, _ = room.found({"picture": 0.3}, surfaces={"east": "textured"})
     assert kinds(found) == {"east": "textured"} and found["groups"]["east"]["texture"] is None
     agree(found)
 
 
 # -- from outside
+
 
 @pytest.fixture
 def files(room, tmp_path):
@@ -416,7 +476,8 @@ def files(room, tmp_path):
     def words(**options):
         mine = dict(materials=tmp_path / "out/materials.json", report=tmp_path / "out/fit.report.json") | options
         (tmp_path / "out").mkdir(exist_ok=True)
-        return room.words(lamps={"lamp": list(E)}, transfer=KNOWN, **mine)         # the last of two equal options counts
+        return room.words(lamps={"lamp": list(E)}, transfer=KNOWN, **mine)  # the last of two equal options counts
+
     return words
 
 
@@ -439,20 +500,22 @@ def test_a_threshold_that_is_none(files, tmp_path, refuses, value):
 
 
 def test_a_facet_image_of_another_size(files, capsys, tmp_path):
-    from lib import image
+    from lib.given import image
+
     image.write_png16(tmp_path / "facet.png", np.ones((60, 80), int))
     line = refused(capsys, tmp_path, files(facet=tmp_path / "facet.png"))
     assert "facet.png" in line and "80 x 60" in line
 
 
 def test_an_audit_of_another_scene(files, high, capsys, tmp_path):
-    high.write(photograph(high.seen({"picture": .3}, (5.0,))))
+    high.write(photograph(high.seen({"picture": 0.3}, (5.0,))))
     line = refused(capsys, tmp_path, files(audit=high.folder / "audit.npz"))
     assert "audit.npz" in line
 
 
 def test_a_photograph_of_another_size(files, capsys, tmp_path):
-    from lib import image
+    from lib.given import image
+
     image.write_png8(tmp_path / "left.png", np.full((60, 80), 90))
     line = refused(capsys, tmp_path, files(photograph=tmp_path / "left.png"))
     assert "left.png" in line and "80 x 60" in line

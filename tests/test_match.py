@@ -1,4 +1,5 @@
 """§2.2 Matching: pairs with known regions, the laws of the rectified frame, and the extremes."""
+
 import csv
 import json
 import time
@@ -6,38 +7,22 @@ import time
 import numpy as np
 import pytest
 
-from lib import cameras, image, matching
-from lib.cameras import Camera
-from tests import pairs
+from lib.given import cameras, image
+from lib.given.cameras import Camera
+from lib.vision import matching
+from lib.vision import matching_kernels as kernels
+from tests.helpers import pairs
+from tests.helpers.pairs import parallel
 
 
 def found(Q, sigma=0.01, seed=0, **options):
-    return matching.match(matching.stereo(Q.left, Q.right), *Q.labels, *Q.noisy(sigma, np.random.default_rng(seed)), **options)
-
-
-def parallel(width, height, focal, baseline):
-    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-    T = np.eye(4)
-    T[0, 3] = -baseline
-    return Camera(K, width, height, np.eye(4)), Camera(K, width, height, T)
-
-
-@pytest.fixture
-def files(tmp_path):
-    """files(Q, vals) -> the options both stages share."""
-    def write(Q, values=None):
-        values = Q.noisy(0.01, np.random.default_rng(0)) if values is None else values
-        words = []
-        for side, v, labels, camera, tail in zip(("left", "right"), values, Q.labels, (Q.left, Q.right), ("", "-right")):
-            image.write_png8(tmp_path / f"{side}.png", np.round(255 * v).astype(np.uint8))
-            image.write_png16(tmp_path / f"{side}.regions.png", labels)
-            cameras.write_cameramodel(tmp_path / f"{side}.cameramodel", camera)
-            words += [f"--photograph{tail}", tmp_path / f"{side}.png", f"--regions{tail}", tmp_path / f"{side}.regions.png", f"--camera{tail}", tmp_path / f"{side}.cameramodel"]
-        return words
-    return write
+    return matching.match(
+        matching.stereo(Q.left, Q.right), *Q.labels, *Q.noisy(sigma, np.random.default_rng(seed)), **options
+    )
 
 
 # -- the rectified frame
+
 
 def test_a_plane_is_a_linear_disparity():
     """By hand: points of a plane, projected by both cameras, lie in one rectified row, f_px baseline m . x_rect apart."""
@@ -64,7 +49,12 @@ def test_no_baseline_is_no_pair():
 
 # -- matching
 
-@pytest.mark.parametrize("options", [{}, {"grey": True}, {"baseline": 0.35}, {"angle_deg": 10.0}, {"tilt": 1.3}], ids=["colour", "grey", "parallel", "10 degrees", "steep"])
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"grey": True}, {"baseline": 0.35}, {"angle_deg": 10.0}, {"tilt": 1.3}],
+    ids=["colour", "grey", "parallel", "10 degrees", "steep"],
+)
 def test_every_quadrilateral_finds_its_own(options):
     """15 scenes: no wrong pair, and nearly all of them found; best first; one to one. (The wall behind them reaches beyond the picture
     on all sides: it has no outline of its own.)"""
@@ -122,14 +112,16 @@ def test_each_region_is_matched_or_refused_once():
     matches = found(Q, smallest=2500)
     named = list(matches.left) + sum(matches.refused_left.values(), [])
     assert sorted(named) == sorted(set(np.unique(Q.labels[0])) - {0})
-    assert set(matches.refused_left) <= set(matching.REASONS)
+    assert set(matches.refused_left) <= set(kernels.REASONS)
 
 
 def test_one_region():
     """The whole picture is one region: it has no outline of its own, and nothing is claimed."""
     left, right = parallel(64, 48, 50.0, 0.1)
     one = np.ones((48, 64), np.int32)
-    matches = matching.match(matching.stereo(left, right), one, one, np.full((48, 64, 1), 0.5), np.full((48, 64, 1), 0.5))
+    matches = matching.match(
+        matching.stereo(left, right), one, one, np.full((48, 64, 1), 0.5), np.full((48, 64, 1), 0.5)
+    )
     assert len(matches.left) == 0 and matches.refused_left
 
 
@@ -164,15 +156,20 @@ def test_forward_motion_is_refused_region_by_region():
     labels = np.ones((48, 64), np.int32)
     labels[15:33, 22:42] = 2
     values = labels[..., None] / 3.0
-    matches = matching.match(matching.stereo(Camera(K, 64, 48, np.eye(4)), Camera(K, 64, 48, T)), labels, labels, values, values)
+    matches = matching.match(
+        matching.stereo(Camera(K, 64, 48, np.eye(4)), Camera(K, 64, 48, T)), labels, labels, values, values
+    )
     assert len(matches.left) == 0
 
 
 # -- from outside
 
-def test_stage_writes_the_contract(run, files, tmp_path):
+
+def test_stage_writes_the_contract(run, pair_files, tmp_path):
     Q = pairs.quads(2)
-    result = run("stages/match.py", *files(Q), "--matches", tmp_path / "matches.csv", "--report", tmp_path / "r.json")
+    result = run(
+        "stages/match.py", *pair_files(Q), "--matches", tmp_path / "matches.csv", "--report", tmp_path / "r.json"
+    )
     assert result.returncode == 0, result.stderr
     with open(tmp_path / "matches.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -186,29 +183,37 @@ def test_stage_writes_the_contract(run, files, tmp_path):
     assert (l == r).all() and len(l) == len(rows)
 
 
-def test_stage_refuses(refuses, run, files, files_under, tmp_path):
+def test_stage_refuses(refuses, run, pair_files, files_under, tmp_path):
     Q = pairs.quads(2)
-    words = files(Q)
+    words = pair_files(Q)
     out = tmp_path / "matches.csv"
     # the same centre
     good = (tmp_path / "right.cameramodel").read_text()
     cameras.write_cameramodel(tmp_path / "right.cameramodel", Q.left)
     before = files_under(tmp_path)
-    line, = refuses("stages/match.py", *words, "--matches", out)
+    (line,) = refuses("stages/match.py", *words, "--matches", out)
     assert "same centre" in line and "extrinsics" in line
     assert files_under(tmp_path) == before
     (tmp_path / "right.cameramodel").write_text(good)
     # labels of another size
     image.write_png16(tmp_path / "right.regions.png", Q.labels[1][:-1])
-    line, = refuses("stages/match.py", *words, "--matches", out)
+    (line,) = refuses("stages/match.py", *words, "--matches", out)
     assert "right.regions.png" in line and "480 x 359" in line
-    line, = refuses("stages/match.py", *words, "--matches", out, "--similarity", "1.5")
+    (line,) = refuses("stages/match.py", *words, "--matches", out, "--similarity", "1.5")
     assert "--similarity" in line
     assert not out.exists()
 
 
-@pytest.mark.parametrize("content,word", [("a,b,c\n", "header"), ("left_label,right_label,similarity\n1,x,0.5\n", "line 2"),
-                                          ("left_label,right_label,similarity\n99,1,0.5\n", "99"), ("left_label,right_label,similarity\n1,1,0.9\n1,2,0.8\n", "twice"), ("", "header")])
+@pytest.mark.parametrize(
+    "content,word",
+    [
+        ("a,b,c\n", "header"),
+        ("left_label,right_label,similarity\n1,x,0.5\n", "line 2"),
+        ("left_label,right_label,similarity\n99,1,0.5\n", "99"),
+        ("left_label,right_label,similarity\n1,1,0.9\n1,2,0.8\n", "twice"),
+        ("", "header"),
+    ],
+)
 def test_matches_that_cannot_be_read(tmp_path, content, word):
     path = tmp_path / "matches.csv"
     path.write_text(content)

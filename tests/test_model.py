@@ -1,4 +1,5 @@
 """The model: polygons to triangles and facets, and what is refused."""
+
 import json
 import struct
 import time
@@ -6,11 +7,11 @@ import time
 import numpy as np
 import pytest
 
-from lib import model as models
-from lib.stage import BadInput
+from lib.core.stage import BadInput
+from lib.given import model as models
 
 CUBE = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]        # outwards
+FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]  # outwards
 
 
 def obj(path, vertices, *faces, head="usemtl a"):
@@ -45,28 +46,47 @@ def test_cube(load):
 
 def test_names_objects_and_groups(load):
     """`g` is ignored, names may hold spaces, an object that comes back is the same one, unused names do not count."""
-    model = load(CUBE, "usemtl b b # x", (0, 1, 3, 2), "o first thing", "usemtl c", (4, 6, 7, 5), "g other", "o second", "usemtl unused",
-                 "usemtl c", (0, 4, 5, 1), "o first thing", (2, 3, 7, 6), "o empty")
+    model = load(
+        CUBE,
+        "usemtl b b # x",
+        (0, 1, 3, 2),
+        "o first thing",
+        "usemtl c",
+        (4, 6, 7, 5),
+        "g other",
+        "o second",
+        "usemtl unused",
+        "usemtl c",
+        (0, 4, 5, 1),
+        "o first thing",
+        (2, 3, 7, 6),
+        "o empty",
+    )
     assert model.objects == ("default", "first thing", "second") and model.groups == ("b b # x", "c")
     assert model.facet_object.tolist() == [0, 1, 2, 1] and model.facet_group.tolist() == [0, 1, 1, 1]
 
 
 def test_index_forms(load):
-    """Negative indices count from the end, texture and normal indices are skipped, lines may continue, comments end them."""
+    """Negative indices count from the end, texture and normal indices are skipped.
+
+    Lines may continue, comments end them.
+    """
     model = load([(0, 0, 0), (1, 0, 0), (0, 1, 0)], "f -3/1/1 -2//1 \\", " -1/7 # f 9 9 9")
     assert model.triangles.tolist() == [[0, 1, 2]]
 
 
 def test_windows_lines_and_vertex_colours(tmp_path):
-    (tmp_path / "m.obj").write_bytes(b"mtllib m.mtl\r\nusemtl a\r\nv 0 0 0 1 0 0\r\nv 1 0 0 1 0 0\r\nv 0 1 0 1 0 0\r\nf 1 2 3\r\n")
+    (tmp_path / "m.obj").write_bytes(
+        b"mtllib m.mtl\r\nusemtl a\r\nv 0 0 0 1 0 0\r\nv 1 0 0 1 0 0\r\nv 0 1 0 1 0 0\r\nf 1 2 3\r\n"
+    )
     model = models.load(tmp_path / "m.obj")
     assert model.groups == ("a",) and model.n_facets == 1
 
 
 # Facets
 
-GRID = [(x, y, 0) for y in range(2) for x in range(3)]             # 3 4 5
-LEFT, RIGHT = (0, 1, 4, 3), (1, 2, 5, 4)                           # 0 1 2
+GRID = [(x, y, 0) for y in range(2) for x in range(3)]  # 3 4 5
+LEFT, RIGHT = (0, 1, 4, 3), (1, 2, 5, 4)  # 0 1 2
 
 
 def test_neighbours_in_a_plane_are_one_facet(load):
@@ -77,7 +97,7 @@ def test_another_group_object_or_side_is_another_facet(load):
     assert load(GRID, LEFT, "usemtl b", RIGHT).n_facets == 2
     assert load(GRID, LEFT, "o b", RIGHT).n_facets == 2
     assert load(GRID, LEFT, RIGHT[::-1]).n_facets == 2
-    assert load(GRID, LEFT, LEFT[::-1]).n_facets == 2              # a panel of two polygons, back to back
+    assert load(GRID, LEFT, LEFT[::-1]).n_facets == 2  # a panel of two polygons, back to back
 
 
 def test_a_shared_corner_is_not_an_edge(load):
@@ -107,7 +127,10 @@ def test_a_small_piece_beside_a_large_one(load):
 
 @pytest.mark.parametrize("sides", [8, 64, 1000, 20000])
 def test_a_round_thing_is_not_a_facet(load, sides):
-    """Each step between strips may be flat enough; the chain of them is not. No facet turns by more than 3.7 degrees."""
+    """Each step between strips may be flat enough; the chain of them is not.
+
+    No facet turns by more than 3.7 degrees.
+    """
     a = 2 * np.pi * np.arange(sides) / sides
     ring = np.column_stack([np.cos(a), np.sin(a), np.zeros(sides)])
     i = np.arange(sides)
@@ -122,12 +145,13 @@ def test_a_round_thing_is_not_a_facet(load, sides):
 
 # Polygons
 
+
 def area(model):
     return model.triangle_normals()[1].sum()
 
 
 def test_concave_polygons(load):
-    arrow = [(0, 0, 0), (2, 1, 0), (0, 2, 0), (1, 1, 0)]                        # a quad; its bad diagonal leaves the polygon
+    arrow = [(0, 0, 0), (2, 1, 0), (0, 2, 0), (1, 1, 0)]  # a quad; its bad diagonal leaves the polygon
     for turn in range(4):
         model = load(arrow, tuple(np.roll(range(4), turn)))
         assert np.isclose(area(model), 1) and (model.triangle_normals()[0] == [0, 0, 1]).all()
@@ -163,11 +187,24 @@ def test_nearly_planar_stays_one(load):
 
 
 def test_crooked_polygons_keep_the_order_of_the_file(load):
-    model = load([(0, 0, 0), (1, 0, 0), (1, 1, 0.2), (0, 1, 0), (5, 0, 0), (6, 0, 0), (5, 1, 0)], "usemtl b", (0, 1, 2, 3), "usemtl c", (4, 5, 6))
+    model = load(
+        [(0, 0, 0), (1, 0, 0), (1, 1, 0.2), (0, 1, 0), (5, 0, 0), (6, 0, 0), (5, 1, 0)],
+        "usemtl b",
+        (0, 1, 2, 3),
+        "usemtl c",
+        (4, 5, 6),
+    )
     assert model.groups == ("b", "c") and model.facet_group.tolist() == [0, 0, 1]
 
 
-@pytest.mark.parametrize("points", [[(0, 0, 0), (1, 1, 1), (2, 2, 2)], [(0, 0, 0), (0, 0, 0), (1, 0, 0)], [(0, 0, 0), (1, 0, 0), (0, 0, 0), (1, 0, 0)]])
+@pytest.mark.parametrize(
+    "points",
+    [
+        [(0, 0, 0), (1, 1, 1), (2, 2, 2)],
+        [(0, 0, 0), (0, 0, 0), (1, 0, 0)],
+        [(0, 0, 0), (1, 0, 0), (0, 0, 0), (1, 0, 0)],
+    ],
+)
 @pytest.mark.parametrize("far", [0, 1e6])
 def test_polygons_without_area_are_dropped(load, points, far):
     count = len(points)
@@ -190,19 +227,28 @@ def test_a_polygon_that_stands_there_twice(load):
 @pytest.mark.parametrize("far", [0, 1e6])
 def test_moving_and_scaling_changes_nothing_else(load, far):
     rng = np.random.default_rng(1)
-    vertices = rng.integers(0, 4, (30, 3)) / 4                                   # many coplanar, some without area
+    vertices = rng.integers(0, 4, (30, 3)) / 4  # many coplanar, some without area
     faces = [tuple(rng.choice(30, 3, replace=False)) for _ in range(60)]
     near = load(vertices, *faces)
     for scale in (1e-3, 1, 1e4):
         moved = load((vertices + far) * scale, *faces)
-        assert np.array_equal(moved.triangles, near.triangles) and np.array_equal(moved.triangle_facet, near.triangle_facet)
+        assert np.array_equal(moved.triangles, near.triangles) and np.array_equal(
+            moved.triangle_facet, near.triangle_facet
+        )
         assert np.allclose(moved.facet_normal, near.facet_normal, atol=1e-8)
 
 
 # Closed objects
 
+
 def test_a_box_is_solid_a_room_is_not(load):
-    model = load([*CUBE, *(np.array(CUBE) * 6 - 3)], "o box", *FACES, "o room", *[tuple(8 + i for i in reversed(f)) for f in FACES])
+    model = load(
+        [*CUBE, *(np.array(CUBE) * 6 - 3)],
+        "o box",
+        *FACES,
+        "o room",
+        *[tuple(8 + i for i in reversed(f)) for f in FACES],
+    )
     assert model.solid_objects().tolist() == [True, True]
     assert model.solid_objects(camera_centre=(-1, -1, -1)).tolist() == [True, False]
     assert model.solid_objects(camera_centre=(0.5, 0.5, 0.5)).tolist() == [False, False]
@@ -227,19 +273,23 @@ def test_boxes_that_touch_along_an_edge_close(load):
 
 # Refused
 
-@pytest.mark.parametrize("lines, says", [
-    ("v 0 nan 0", "line 2: vertex y = nan is not finite"),
-    ("v 0 0 inf", "line 2: vertex z = inf"),
-    ("v 0 zero 0", "line 2: vertex y = zero is not a number"),
-    ("v 0 0", "line 2: vertex has 2 coordinates"),
-    ("f 1 2 4", "line 5: face index 4 is out of range (1 to 3)"),
-    ("f 0 2 3", "line 5: face index 0 is out of range"),
-    ("f -4 2 3", "line 5: face index -4 is out of range"),
-    ("f 1 2", "line 5: face 'f 1 2' has 2 corners"),
-    ("f 1 2 x", "not a whole number"),
-    ("f 1 1 2", "faces: none of the 1 has an area"),
-    ("", "faces: the model has none"),
-])
+
+@pytest.mark.parametrize(
+    "lines, says",
+    [
+        ("v 0 nan 0", "line 2: vertex y = nan is not finite"),
+        ("v 0 0 inf", "line 2: vertex z = inf"),
+        ("v 0 zero 0", "line 2: vertex y = zero is not a number"),
+        ("v 0 0", "line 2: vertex has 2 coordinates"),
+        ("f 1 2 4", "line 5: face index 4 is out of range (1 to 3)"),
+        ("f 0 2 3", "line 5: face index 0 is out of range"),
+        ("f -4 2 3", "line 5: face index -4 is out of range"),
+        ("f 1 2", "line 5: face 'f 1 2' has 2 corners"),
+        ("f 1 2 x", "not a whole number"),
+        ("f 1 1 2", "faces: none of the 1 has an area"),
+        ("", "faces: the model has none"),
+    ],
+)
 def test_refused(tmp_path, lines, says):
     vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
     text = f"usemtl a\n{lines}\n{vertices}f 1 2 3\n" if lines.startswith("v") else f"usemtl a\n{vertices}{lines}\n"
@@ -247,7 +297,7 @@ def test_refused(tmp_path, lines, says):
     path.write_text(text)
     with pytest.raises(BadInput) as refusal:
         models.load(path)
-    line, = refusal.value.problems
+    (line,) = refusal.value.problems
     assert line.startswith(f"{path}: ") and says in line
 
 
@@ -256,7 +306,9 @@ def test_face_without_material(tmp_path):
         models.load(obj(tmp_path / "m.obj", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], (0, 1, 2), head="o a"))
 
 
-@pytest.mark.parametrize("content", [b"", b"\0\1\2", b"glTF", b"glTF" + struct.pack("<II", 2, 12), b"glTF" + struct.pack("<II", 2, 999)])
+@pytest.mark.parametrize(
+    "content", [b"", b"\0\1\2", b"glTF", b"glTF" + struct.pack("<II", 2, 12), b"glTF" + struct.pack("<II", 2, 999)]
+)
 def test_not_a_model(tmp_path, content):
     (tmp_path / "m.glb").write_bytes(content)
     with pytest.raises(BadInput, match="m.glb: "):
@@ -264,6 +316,7 @@ def test_not_a_model(tmp_path, content):
 
 
 # GLB
+
 
 def glb(path, gltf, binary=b""):
     text = json.dumps(gltf).encode()
@@ -278,12 +331,19 @@ def square(**primitive):
     """A unit square in the plane z = 0 as a GLB, its front towards +z."""
     p = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], "<f4").tobytes()
     index = np.array([0, 1, 2, 0, 2, 3], "<u2").tobytes()
-    return {"asset": {"version": "2.0"}, "buffers": [{"byteLength": 60}], "scenes": [{"nodes": [0]}],
-            "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 12}],
-            "accessors": [{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
-                          {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"}],
-            "materials": [{"name": "paint"}], "nodes": [{"name": "panel", "mesh": 0}],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0, **primitive}]}]}, p + index
+    return {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": 60}],
+        "scenes": [{"nodes": [0]}],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 12}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"},
+        ],
+        "materials": [{"name": "paint"}],
+        "nodes": [{"name": "panel", "mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0, **primitive}]}],
+    }, p + index
 
 
 def test_glb(tmp_path):
@@ -293,17 +353,25 @@ def test_glb(tmp_path):
 
 
 def test_glb_nodes_move_and_mirror(tmp_path):
-    """Two nodes show one mesh: one raised by its parent, one mirrored in x; the front of the mirrored one stays in front."""
+    """Two nodes show one mesh: one raised by its parent, one mirrored in x.
+
+    The front of the mirrored one stays in front.
+    """
     gltf, binary = square()
-    gltf["nodes"] = [{"name": "up", "translation": [0, 0, 2], "children": [1, 2]}, {"name": "a", "mesh": 0, "scale": [3, 1, 1]},
-                     {"name": "b", "mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1]}]
+    gltf["nodes"] = [
+        {"name": "up", "translation": [0, 0, 2], "children": [1, 2]},
+        {"name": "a", "mesh": 0, "scale": [3, 1, 1]},
+        {"name": "b", "mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1]},
+    ]
     model = models.load(glb(tmp_path / "m.glb", gltf, binary))
     assert model.objects == ("a", "b") and model.facet_offset.tolist() == [2, 2]
     assert model.facet_normal.tolist() == [[0, 0, 1], [0, 0, 1]] and model.facet_area().tolist() == [3, 1]
     assert model.corners()[2:].max(axis=(0, 1)).tolist() == [5, 1, 2]
 
 
-@pytest.mark.parametrize("quaternion, normal", [([0, 0, 0, 1], [0, 0, 1]), ([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], [0, -1, 0])])
+@pytest.mark.parametrize(
+    "quaternion, normal", [([0, 0, 0, 1], [0, 0, 1]), ([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], [0, -1, 0])]
+)
 def test_glb_rotation(tmp_path, quaternion, normal):
     gltf, binary = square()
     gltf["nodes"][0]["rotation"] = quaternion
@@ -323,8 +391,12 @@ def test_glb_refused(tmp_path):
     nan = np.array([(0, 0, 0), (1, np.nan, 0), (1, 1, 0), (0, 1, 0)], "<f4").tobytes() + binary[48:]
     bare = json.loads(json.dumps(gltf))
     del bare["meshes"][0]["primitives"][0]["material"]
-    for description, content, says in ((gltf, nan, "vertex 1: y = nan"), (bare, binary, "has no material"), (gltf, binary[:50], "truncated"),
-                                       (gltf, binary[:48] + b"\7\0" * 6, "index 7 is out of range")):
+    for description, content, says in (
+        (gltf, nan, "vertex 1: y = nan"),
+        (bare, binary, "has no material"),
+        (gltf, binary[:50], "truncated"),
+        (gltf, binary[:48] + b"\7\0" * 6, "index 7 is out of range"),
+    ):
         with pytest.raises(BadInput, match=says):
             models.load(glb(tmp_path / "m.glb", description, content))
 
@@ -337,7 +409,11 @@ def test_a_hundred_thousand_triangles(tmp_path):
     with open(tmp_path / "m.obj", "w") as file:
         file.write("usemtl a\n")
         np.savetxt(file, np.column_stack([x.ravel(), y.ravel(), z.ravel()]), "v %.9g %.9g %.9g")
-        np.savetxt(file, np.concatenate([np.column_stack([i, i + 1, i + n + 1]), np.column_stack([i, i + n + 1, i + n])]), "f %d %d %d")
+        np.savetxt(
+            file,
+            np.concatenate([np.column_stack([i, i + 1, i + n + 1]), np.column_stack([i, i + n + 1, i + n])]),
+            "f %d %d %d",
+        )
     begin = time.process_time()
     model = models.load(tmp_path / "m.obj")
     assert time.process_time() - begin < 5

@@ -1,4 +1,5 @@
 """Pairs as a stranger would give them, through make: what cannot be known is refused in one line and leaves no goal."""
+
 import os
 import shutil
 import subprocess
@@ -7,14 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lib import cameras, image
+from lib.given import cameras, image
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def make(folder, *words):
     clean = {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k not in ("MFLAGS", "BUILD", "DATA")}
-    return subprocess.run(["make", f"DATA={folder / 'data'}", f"BUILD={folder / 'build'}", *words], cwd=ROOT, env=clean, capture_output=True, text=True)
+    return subprocess.run(
+        ["make", f"DATA={folder / 'data'}", f"BUILD={folder / 'build'}", *words],
+        cwd=ROOT,
+        env=clean,
+        capture_output=True,
+        text=True,
+    )
 
 
 @pytest.fixture
@@ -27,7 +34,9 @@ def attic(tmp_path):
     K = np.array([[130.0, 0, 79.5], [0, 130.0, 59.5], [0, 0, 1]])
     for side, rt in (("left", [0.0] * 6), ("right", [0, 0.1, 0, -0.4, 0, 0])):
         image.write_png8(folder / f"{side}.png", np.full((120, 160, 3), 90))
-        cameras.write_cameramodel(folder / f"{side}.cameramodel", cameras.Camera(K, 160, 120, cameras.matrix_from_rt(rt)))
+        cameras.write_cameramodel(
+            folder / f"{side}.cameramodel", cameras.Camera(K, 160, 120, cameras.matrix_from_rt(rt))
+        )
     (folder / "scene.yaml").write_text("goals: [pose.json]\n")
     return tmp_path
 
@@ -66,4 +75,6 @@ def test_the_left_photograph_alone(attic):
     run = make(attic, "attic")
     assert run.returncode == 0, run.stderr
     labels = image.read_labels(attic / "build/attic/left.regions.png")
-    assert labels.max() > 19_000 and not (attic / "build/attic/right.regions.png").exists()        # nearly every pixel is its own region
+    assert (
+        labels.max() > 19_000 and not (attic / "build/attic/right.regions.png").exists()
+    )  # nearly every pixel is its own region

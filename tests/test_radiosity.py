@@ -1,15 +1,22 @@
 """The light balance: by hand, by law (furnace, flux, the bound), and at the edge (rho = 1, black, open, one patch)."""
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib import radiosity
+from lib.light import radiosity
 
-METHODS = [dict(method=m) for m in radiosity.METHODS] + [dict(method="progressive", overshoot=True), dict(method="progressive", ambient=True)]
+METHODS = [dict(method=m) for m in radiosity.METHODS] + [
+    dict(method="progressive", overshoot=True),
+    dict(method="progressive", ambient=True),
+]
 NAMES = ["-".join(str(v) if k == "method" else k for k, v in m.items()) for m in METHODS]
 every_method = pytest.mark.parametrize("how", METHODS, ids=NAMES)
-every_store = pytest.mark.parametrize("store", [np.asarray, np.float32, csr_array, lambda F: csr_array(np.float32(F))],
-                                      ids=["float64", "float32", "csr64", "csr32"])
+every_store = pytest.mark.parametrize(
+    "store",
+    [np.asarray, np.float32, csr_array, lambda F: csr_array(np.float32(F))],
+    ids=["float64", "float32", "csr64", "csr32"],
+)
 
 
 def closed_box(n, seed=0, area=False):
@@ -18,7 +25,7 @@ def closed_box(n, seed=0, area=False):
     S = rng.random((n, n)) ** 3
     S = S + S.T
     np.fill_diagonal(S, 0 if n > 1 else 1)
-    A = S.sum(axis=1)                     # A_i F_ij = S_ij
+    A = S.sum(axis=1)  # A_i F_ij = S_ij
     return (S / A[:, None], A) if area else S / A[:, None]
 
 
@@ -29,6 +36,7 @@ CUBE[[0, 1, 2, 3, 4, 5], [1, 0, 3, 2, 5, 4]] = PARALLEL
 
 
 # -- by hand
+
 
 @every_method
 @every_store
@@ -42,9 +50,14 @@ def test_two_patches(how, store):
 
 
 @every_method
-@pytest.mark.parametrize("rho, expected", [
-    (np.full(6, 0.5), [1.0909091, 0.18174583, 0.18183627, 0.18183627, 0.18183627, 0.18183627]),
-    ([0, 0.8, 0.6, 0.6, 0.3, 0.5], [1, 0.2756062, 0.21418054, 0.21418054, 0.11315525, 0.18173964])], ids=["grey", "six"])
+@pytest.mark.parametrize(
+    "rho, expected",
+    [
+        (np.full(6, 0.5), [1.0909091, 0.18174583, 0.18183627, 0.18183627, 0.18183627, 0.18183627]),
+        ([0, 0.8, 0.6, 0.6, 0.3, 0.5], [1, 0.2756062, 0.21418054, 0.21418054, 0.11315525, 0.18173964]),
+    ],
+    ids=["grey", "six"],
+)
 def test_cube_of_six_patches(how, rho, expected):
     """DESIGN 5: a cube of one patch per face, one of them E = 1."""
     s = radiosity.solve(np.eye(6)[0], np.array(rho), CUBE, tolerance=1e-12, **how)
@@ -57,13 +70,14 @@ def test_southwell_and_progressive_by_hand():
     E, rho = np.array([8.0, 2, 0]), np.full(3, 0.5)
     seen = []
     radiosity.solve(E, rho, F, method="progressive", max_iterations=2, callback=lambda k, B: seen.append(B))
-    assert np.allclose(seen, [[8, 4, 2], [9, 4, 3]])          # 8 leaves 2 with each; then patch 1 has 4 to shoot
+    assert np.allclose(seen, [[8, 4, 2], [9, 4, 3]])  # 8 leaves 2 with each; then patch 1 has 4 to shoot
     seen.clear()
     radiosity.solve(E, rho, F, method="southwell", max_iterations=2, callback=lambda k, B: seen.append(B))
-    assert np.allclose(seen, [[8, 0, 0], [8, 4, 0]])          # only what was sent
+    assert np.allclose(seen, [[8, 0, 0], [8, 4, 0]])  # only what was sent
 
 
 # -- by law
+
 
 @every_method
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9, 0.99, 1 - 1e-4, 1 - 1e-6, 1 - 1e-8])
@@ -90,7 +104,9 @@ def test_against_elimination(how, store, top):
     F, A = closed_box(40, seed=2, area=True)
     F = np.float32(F) if "32" in str(store(F).dtype) else F
     E, rho = rng.random((40, 3)) * (rng.random(40) < 0.2)[:, None], rng.uniform(0, top, (40, 3))
-    used = rho / np.maximum(F.astype(float).sum(axis=1), 1)[:, None]       # rows that rounding carries beyond 1 are scaled back
+    used = (
+        rho / np.maximum(F.astype(float).sum(axis=1), 1)[:, None]
+    )  # rows that rounding carries beyond 1 are scaled back
     exact = np.stack([np.linalg.solve(np.eye(40) - used[:, c, None] * F, E[:, c]) for c in range(3)], axis=1)
     s = radiosity.solve(E, rho, store(F), tolerance=1e-7, area=A, max_iterations=30_000, **how)
     assert s.converged and s.B.shape == (40, 3)
@@ -126,18 +142,26 @@ def test_scale_and_superposition(how):
     go = lambda E: radiosity.solve(E, rho, F, tolerance=1e-14, area=A, max_iterations=50_000, **how).B
     assert np.allclose(go(strong + weak), go(strong) + go(weak), rtol=1e-11)
     assert np.allclose(go(strong), go(strong / 1e6) * 1e6, rtol=1e-11)
-    both = radiosity.solve(np.stack([strong, weak], axis=1), rho, F, tolerance=1e-13, area=A, max_iterations=50_000, **how)
+    both = radiosity.solve(
+        np.stack([strong, weak], axis=1), rho, F, tolerance=1e-13, area=A, max_iterations=50_000, **how
+    )
     assert np.allclose(both.B[:, 1], go(weak), rtol=1e-10), "a channel is judged by its own lamp"
 
 
 # -- at the edge
 
+
 @every_method
 def test_one_patch(how):
     """N = 1: alone in the dark it keeps its own light; as the inside of a ball it is the furnace."""
-    assert radiosity.solve(np.array([2.0]), np.array([0.7]), np.zeros((1, 1)), **how).B == pytest.approx([2])
-    assert radiosity.solve(np.array([2.0]), np.array([0.75]), np.ones((1, 1)), tolerance=1e-10, **how).B == pytest.approx([8])
-    assert radiosity.solve(np.array([2.0]), np.array([1.0]), np.zeros((1, 1)), **how).B == pytest.approx([2]), "rho = 1 in the open"
+    assert pytest.approx([2]) == radiosity.solve(np.array([2.0]), np.array([0.7]), np.zeros((1, 1)), **how).B
+    assert (
+        pytest.approx([8])
+        == radiosity.solve(np.array([2.0]), np.array([0.75]), np.ones((1, 1)), tolerance=1e-10, **how).B
+    )
+    assert pytest.approx([2]) == radiosity.solve(np.array([2.0]), np.array([1.0]), np.zeros((1, 1)), **how).B, (
+        "rho = 1 in the open"
+    )
     with pytest.raises(ValueError, match="no balance"):
         radiosity.solve(np.array([2.0]), np.array([1.0]), np.ones((1, 1)), **how)
 
@@ -158,7 +182,7 @@ def test_white_walls_that_lose_their_light(how, store):
     """rho = 1 has a balance where light can leave: the bound is then no longer residual / (1 - rho), and still holds."""
     F = closed_box(12, seed=4)
     rho = np.ones(12)
-    rho[5] = 0.5                                    # one absorbing patch in a white room
+    rho[5] = 0.5  # one absorbing patch in a white room
     E = np.eye(12)[0]
     F = np.float32(F) if "32" in str(store(F).dtype) else F
     sums = np.maximum(F.astype(float).sum(axis=1), 1)
@@ -166,8 +190,13 @@ def test_white_walls_that_lose_their_light(how, store):
     s = radiosity.solve(E, rho, store(F), tolerance=1e-8, max_iterations=100_000, **how)
     assert s.converged and np.isfinite(s.bound)
     assert np.abs(s.B - exact).max() <= s.bound * (1 + 1e-9) + 1e-12
-    s = radiosity.solve(E, np.ones(12), store(0.9 * F), tolerance=1e-10, max_iterations=100_000, **how)      # a room with windows
-    assert np.isfinite(s.bound) and np.abs(s.B - np.linalg.solve(np.eye(12) - 0.9 * F, E)).max() <= s.bound * (1 + 1e-9) + 1e-12
+    s = radiosity.solve(
+        E, np.ones(12), store(0.9 * F), tolerance=1e-10, max_iterations=100_000, **how
+    )  # a room with windows
+    assert (
+        np.isfinite(s.bound)
+        and np.abs(s.B - np.linalg.solve(np.eye(12) - 0.9 * F, E)).max() <= s.bound * (1 + 1e-9) + 1e-12
+    )
 
 
 @every_store
@@ -178,24 +207,34 @@ def test_no_balance_is_refused(store):
     rho = np.full(10, 0.5)
     rho[6:] = 1
     E = np.eye(10)[0]
-    s = radiosity.solve(E, rho, store(F))                       # the white room next door is dark, and stays dark
+    s = radiosity.solve(E, rho, store(F))  # the white room next door is dark, and stays dark
     assert (s.B[6:] == 0).all() and s.converged and np.isfinite(s.bound)
     with pytest.raises(ValueError, match="no balance exists: patch 7 emits") as caught:
         radiosity.solve(E + np.eye(10)[7], rho, store(F))
     assert "\n" not in str(caught.value)
-    rho[8] = 1 - 1e-6                                           # a trace of soot, and there is one
+    rho[8] = 1 - 1e-6  # a trace of soot, and there is one
     s = radiosity.solve(E + np.eye(10)[7], rho, store(F), tolerance=1e-10)
     assert s.B[6:].min() > 1e3 and np.isfinite(s.bound)
 
 
-@pytest.mark.parametrize("change, message", [
-    (dict(rho=[0.5, 1.2]), "rho = 1.2 of patch 1 is outside"), (dict(rho=[-0.1, 0.5]), "rho = -0.1 of patch 0"),
-    (dict(rho=[0.5, np.nan]), "rho = nan of patch 1"), (dict(E=[np.nan, 0]), "E of patch 0 is not finite"),
-    (dict(E=[0, np.inf]), "E of patch 1 is not finite"), (dict(E=[1.0, 0, 0], rho=[0.5] * 3), "3 patches, F for 2"),
-    (dict(F=[[0, 1.1], [1, 0]]), "row 0 of F sums to 1.1"), (dict(F=[[0, -1e-3], [1, 0]]), "negative or not a number"),
-    (dict(F=[[0, np.nan], [1, 0]]), "negative or not a number"), (dict(F=np.zeros((2, 3))), "not that of a square"),
-    (dict(method="magic"), "is not one of krylov"), (dict(method="progressive", area=[1.0, 0]), "area: one positive"),
-    (dict(method="progressive", patch=[0]), "patch: 1 numbers for 2")])
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (dict(rho=[0.5, 1.2]), "rho = 1.2 of patch 1 is outside"),
+        (dict(rho=[-0.1, 0.5]), "rho = -0.1 of patch 0"),
+        (dict(rho=[0.5, np.nan]), "rho = nan of patch 1"),
+        (dict(E=[np.nan, 0]), "E of patch 0 is not finite"),
+        (dict(E=[0, np.inf]), "E of patch 1 is not finite"),
+        (dict(E=[1.0, 0, 0], rho=[0.5] * 3), "3 patches, F for 2"),
+        (dict(F=[[0, 1.1], [1, 0]]), "row 0 of F sums to 1.1"),
+        (dict(F=[[0, -1e-3], [1, 0]]), "negative or not a number"),
+        (dict(F=[[0, np.nan], [1, 0]]), "negative or not a number"),
+        (dict(F=np.zeros((2, 3))), "not that of a square"),
+        (dict(method="magic"), "is not one of krylov"),
+        (dict(method="progressive", area=[1.0, 0]), "area: one positive"),
+        (dict(method="progressive", patch=[0]), "patch: 1 numbers for 2"),
+    ],
+)
 def test_refusals(change, message):
     """Each in one line."""
     given = dict(E=[1.0, 0], rho=[0.5, 0.5], F=[[0, 1], [1, 0]]) | change
@@ -207,10 +246,11 @@ def test_refusals(change, message):
 
 # -- figure 3.9: the hierarchy, the ambient term, overshooting
 
+
 def test_patches_shoot_and_elements_receive():
     """Elements of one patch that receive alike: the hierarchy is exact, with a quarter of the shots."""
     F4, A4 = closed_box(10, seed=9, area=True)
-    F = np.repeat(np.repeat(F4, 4, axis=0), 4, axis=1) / 4              # each patch cut into four like elements
+    F = np.repeat(np.repeat(F4, 4, axis=0), 4, axis=1) / 4  # each patch cut into four like elements
     patch, area = np.repeat(np.arange(10), 4), np.repeat(A4, 4) / 4
     rho, E = np.repeat(np.linspace(0, 0.8, 10), 4), np.repeat(np.eye(10)[2], 4)
     exact = np.linalg.solve(np.eye(40) - rho[:, None] * F, E)
@@ -218,7 +258,11 @@ def test_patches_shoot_and_elements_receive():
     all_ = radiosity.solve(E, rho, F, method="progressive", area=area, tolerance=1e-8)
     assert one.converged and np.allclose(one.B, exact, atol=1e-7) and np.allclose(all_.B, exact, atol=1e-7)
     assert one.iterations < 0.35 * all_.iterations
-    assert np.allclose(radiosity.solve(E, rho, csr_array(F), method="progressive", area=area, patch=patch, tolerance=1e-8).B, one.B, atol=1e-9)
+    assert np.allclose(
+        radiosity.solve(E, rho, csr_array(F), method="progressive", area=area, patch=patch, tolerance=1e-8).B,
+        one.B,
+        atol=1e-9,
+    )
 
 
 def test_elements_keep_their_own_light():
@@ -242,8 +286,17 @@ def test_ambient_term_and_overshooting_help():
     shots = {}
     for name, extra in (("plain", {}), ("ambient", dict(ambient=True)), ("overshoot", dict(overshoot=True))):
         error = []
-        s = radiosity.solve(E, rho, F, method="progressive", area=A, tolerance=1e-8, max_iterations=200_000,
-                            callback=lambda k, B: error.append((A * np.abs(B - exact)).sum() / (A * exact).sum()), **extra)
+        s = radiosity.solve(
+            E,
+            rho,
+            F,
+            method="progressive",
+            area=A,
+            tolerance=1e-8,
+            max_iterations=200_000,
+            callback=lambda k, B: error.append((A * np.abs(B - exact)).sum() / (A * exact).sum()),
+            **extra,
+        )
         assert s.converged and np.abs(s.B - exact).max() < 1e-7, name
         shots[name] = int(np.argmax(np.array(error) < 0.02))
     assert shots["ambient"] < 0.2 * shots["plain"] and shots["overshoot"] < 0.6 * shots["plain"], shots
@@ -276,6 +329,7 @@ def test_warm_start_and_reuse():
 
 
 # -- GMRES itself
+
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_gmres_columns_of_unlike_difficulty(kind):

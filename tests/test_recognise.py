@@ -1,4 +1,5 @@
 """Recognition (§2.4): the closed form by hand, 200 rooms by law, the extremes, the refinement on photographs, the executable from outside."""
+
 import json
 import time
 from types import SimpleNamespace
@@ -7,10 +8,16 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from lib import cameras, image, model as models, recognition, refinement
-from lib.cameras import Camera
-from lib.stage import BadInput
-from tests import facet_trials as trials, rooms
+from lib.core.stage import BadInput
+from lib.given import cameras, image
+from lib.given import model as models
+from lib.given.cameras import Camera
+from lib.vision.recognition import closed_form, hashing, rotations
+from lib.vision.recognition import recognise as recognition
+from lib.vision.refinement import pose as refinement
+from lib.vision.refinement import rig as rig_
+from tests.helpers import facet_trials as trials
+from tests.helpers import rooms
 
 
 def right(pose, camera):
@@ -20,10 +27,11 @@ def right(pose, camera):
 
 # The linear step.
 
+
 def planes_of(T, q=1.0):
     """Six planes of a box seen from inside by T, exactly."""
     n = np.concatenate([np.eye(3), -np.eye(3)])
-    offset = np.array([0.0, 0, 0, -5, -4, -3])                                  # n . x = offset, fronts inwards
+    offset = np.array([0.0, 0, 0, -5, -4, -3])  # n . x = offset, fronts inwards
     n_cam, d = n @ T[:3, :3].T, offset + n @ T[:3, :3].T @ T[:3, 3]
     m = n_cam * (q / d)[:, None]
     return m, n, offset, m / (m * m).sum(axis=1)[:, None]
@@ -34,18 +42,21 @@ def test_closed_form_is_exact_on_exact_planes(q):
     T = cameras.matrix_from_rt([0.3, -0.8, 0.4, 0, 0, 0])
     T[:3, 3] = -T[:3, :3] @ [2.0, 1.5, 1.2]
     m, n, offset, g = planes_of(T, q)
-    found, scale = recognition.closed_form(m, np.repeat(1e-6 * np.eye(3)[None], 6, axis=0), n, offset, g, scale_free=q != 1)
+    found, scale = closed_form.closed_form(
+        m, np.repeat(1e-6 * np.eye(3)[None], 6, axis=0), n, offset, g, scale_free=q != 1
+    )
     np.testing.assert_allclose(found, T, atol=1e-9)
     assert scale == pytest.approx(q, abs=1e-9)
 
 
 def test_kabsch_never_reflects():
     a = np.eye(3)
-    R = recognition.kabsch(a, a * [1, 1, -1], np.ones(3))
+    R = rotations.kabsch(a, a * [1, 1, -1], np.ones(3))
     assert np.linalg.det(R) == pytest.approx(1)
 
 
 # The search.
+
 
 def test_200_rooms(tmp_path, capsys):
     """Three furnished rooms, one of them seen; half of the facets spurious, most of the others partial.
@@ -64,17 +75,19 @@ def test_200_rooms(tmp_path, capsys):
         if found.status == "unique":
             assert right(found.poses[0], camera), seed
             wrong = [i for i, f in found.poses[0].matches if truth[i] < 0]
-            assert len(wrong) <= 1, seed                                        # a spurious facet may lie on a wall
+            assert len(wrong) <= 1, seed  # a spurious facet may lie on a wall
             gap = cameras.rt_from_matrix(camera.T_cam_world @ np.linalg.inv(found.poses[0].T))
             far.append(gap @ np.linalg.solve(found.poses[0].covariance, gap))
         if found.status == "ambiguous":
             best = found.poses[0]
             for pose in found.poses[1:]:
-                assert len(pose.matches) >= len(best.matches) - 1 and pose.chi2 <= 2 * recognition.GATE * len(pose.matches), seed
+                assert len(pose.matches) >= len(best.matches) - 1 and pose.chi2 <= 2 * closed_form.GATE * len(
+                    pose.matches
+                ), seed
     with capsys.disabled():
         print(f"\n200 rooms: {status}, CPU {np.mean(spent):.2f} s a trial, at most {np.max(spent):.2f} s")
     assert status["unique"] >= 190
-    assert 0.90 <= np.mean(np.array(far) < chi2.ppf(0.95, 6))                   # the covariance is honest
+    assert np.mean(np.array(far) < chi2.ppf(0.95, 6)) >= 0.90  # the covariance is honest
     assert np.mean(spent) < 1.0
 
 
@@ -99,7 +112,9 @@ def test_a_symmetric_room_is_ambiguous(tmp_path):
 def test_a_left_handed_model_is_not_recognised(tmp_path, seed):
     random, things, model, camera = trials.room_trial(seed, tmp_path)
     facets, _ = trials.facets_seen(random, model, camera)
-    mirrored = {name: [(group, (np.array(p) * [1, -1, 1])[::-1]) for group, p in polygons] for name, polygons in things.items()}
+    mirrored = {
+        name: [(group, (np.array(p) * [1, -1, 1])[::-1]) for group, p in polygons] for name, polygons in things.items()
+    }
     found = recognition.recognise(facets, models.load(rooms.write(tmp_path / "mirrored.obj", mirrored)), camera)
     assert found.status in ("unproved", "not recognised")
     assert all(np.linalg.det(pose.T[:3, :3]) == pytest.approx(1) for pose in found.poses)
@@ -118,7 +133,10 @@ def test_far_from_the_origin(tmp_path):
     facets, _ = trials.facets_seen(random, model, camera)
     offset = np.array([1e6, 2e6, -5e5])
     away = {name: [(group, np.array(p) + offset) for group, p in polygons] for name, polygons in things.items()}
-    near, far = (recognition.recognise(facets, m, camera).poses[0] for m in (model, models.load(rooms.write(tmp_path / "far.obj", away))))
+    near, far = (
+        recognition.recognise(facets, m, camera).poses[0]
+        for m in (model, models.load(rooms.write(tmp_path / "far.obj", away)))
+    )
     T = far.T.copy()
     T[:3, 3] += T[:3, :3] @ offset
     np.testing.assert_allclose(T, near.T, atol=1e-4)
@@ -130,9 +148,11 @@ def test_the_unit_of_length_does_not_matter(tmp_path, factor):
     random, things, model, camera = trials.room_trial(4, tmp_path)
     facets, _ = trials.facets_seen(random, model, camera)
     large = models.load(rooms.write(tmp_path / "large.obj", things, scale=factor))
-    other = recognition.SceneFacets(facets.m / factor, facets.covariance / factor ** 2, [factor * p for p in facets.polygons], facets.labels)
+    other = hashing.SceneFacets(
+        facets.m / factor, facets.covariance / factor**2, [factor * p for p in facets.polygons], facets.labels
+    )
     shot = trials.photograph(random, model, camera)
-    side = refinement.Side(Camera(camera.K, camera.width, camera.height, np.eye(4)), shot)
+    side = rig_.Side(Camera(camera.K, camera.width, camera.height, np.eye(4)), shot)
     results = []
     for f, m, k in ((facets, model, 1), (other, large, factor)):
         found = recognition.recognise(f, m, camera)
@@ -159,7 +179,9 @@ def test_unknown_scale(tmp_path):
 def test_too_little_is_said_to_be_too_little(tmp_path):
     random, _, model, camera = trials.room_trial(0, tmp_path)
     facets, _ = trials.facets_seen(random, model, camera, spurious=0)
-    part = lambda keep: recognition.SceneFacets(facets.m[keep], facets.covariance[keep], [facets.polygons[k] for k in keep], facets.labels[keep])
+    part = lambda keep: hashing.SceneFacets(
+        facets.m[keep], facets.covariance[keep], [facets.polygons[k] for k in keep], facets.labels[keep]
+    )
     for keep in ([], [0], [0, 1]):
         found = recognition.recognise(part(keep), model, camera)
         assert found.status == "not recognised" and "at least 3" in found.why
@@ -171,42 +193,51 @@ def test_too_little_is_said_to_be_too_little(tmp_path):
 
 # The refinement.
 
+
 def rig_of(camera, baseline=0.4):
     T_right_left = cameras.matrix_from_rt([0.01, 0.12, 0.005, -baseline, 0.01, 0.03])
-    return T_right_left, (Camera(camera.K, camera.width, camera.height, np.eye(4)), Camera(camera.K, camera.width, camera.height, T_right_left))
+    return T_right_left, (
+        Camera(camera.K, camera.width, camera.height, np.eye(4)),
+        Camera(camera.K, camera.width, camera.height, T_right_left),
+    )
 
 
 def start(T, random, degrees, metres):
     step = np.concatenate([random.normal(size=3) * np.radians(degrees), random.normal(size=3) * metres])
-    T0 = recognition.moved(T, step)
-    C = np.diag([np.radians(degrees) ** 2] * 3 + [metres ** 2] * 3)
-    return SimpleNamespace(poses=(recognition.Pose(T0, 1.0, C, np.zeros((0, 2), int), 0, 0, 0, T0),), status="unique")
+    T0 = closed_form.moved(T, step)
+    C = np.diag([np.radians(degrees) ** 2] * 3 + [metres**2] * 3)
+    return SimpleNamespace(poses=(closed_form.Pose(T0, 1.0, C, np.zeros((0, 2), int), 0, 0, 0, T0),), status="unique")
 
 
 def test_derivatives_of_the_projection(tmp_path):
     _, _, model, camera = trials.room_trial(0, tmp_path, 1)
     D, pair = rig_of(camera)
-    rig = refinement._rig([refinement.Side(c, None) for c in pair], 3.0)
+    rig = rig_.rig_of([rig_.Side(c, None) for c in pair], 3.0)
     p = camera.T_cam_world[:3, :3].T @ (np.array([[0.3, 0.2, 2.5], [-0.5, 0.4, 4]]) - camera.T_cam_world[:3, 3]).T
     for side in (0, 1):
-        _, J = refinement._project(rig, side, camera.T_cam_world, 1.3, p.T, True, True)
+        _, J = rig_.project(rig, side, camera.T_cam_world, 1.3, p.T, True, True)
         for k in range(7):
             q = []
             for sign in (-1, 1):
-                T, scale = refinement._step(camera.T_cam_world, 1.3, sign * 1e-6 * np.eye(7)[k])
-                q.append(refinement._project(rig, side, T, scale, p.T))
+                T, scale = rig_.step(camera.T_cam_world, 1.3, sign * 1e-6 * np.eye(7)[k])
+                q.append(rig_.project(rig, side, T, scale, p.T))
             np.testing.assert_allclose((q[1] - q[0]) / 2e-6, J[:, :, k], rtol=1e-5, atol=1e-3)
 
 
-@pytest.mark.parametrize("scene, degrees, metres, turn, move", [("office", 3, 0.15, 0.01, 0.0005), ("linear", 2, 0.08, 0.01, 0.0005), ("cornell", 1, 0.03, 0.02, 0.0005)])
+@pytest.mark.parametrize(
+    "scene, degrees, metres, turn, move",
+    [("office", 3, 0.15, 0.01, 0.0005), ("linear", 2, 0.08, 0.01, 0.0005), ("cornell", 1, 0.03, 0.02, 0.0005)],
+)
 def test_path_traced_photographs(root, scene, degrees, metres, turn, move):
     """One photograph alone, from degrees and decimetres away: hundredths of a degree, half a millimetre."""
     folder = root / "data" / scene
     model, camera = models.load(folder / "model.obj"), cameras.read_cameramodel(folder / "left.posed.cameramodel")
     photograph = image.read_photograph(next(p for p in folder.glob("left.*") if p.suffix in (".png", ".exr")))
-    side = refinement.Side(Camera(camera.K, camera.width, camera.height, np.eye(4)), photograph)
+    side = rig_.Side(Camera(camera.K, camera.width, camera.height, np.eye(4)), photograph)
     for seed in range(2):
-        result = refinement.refine(model, [side], start(camera.T_cam_world, np.random.default_rng(seed), degrees, metres))
+        result = refinement.refine(
+            model, [side], start(camera.T_cam_world, np.random.default_rng(seed), degrees, metres)
+        )
         off = trials.pose_error(result.cameras[0].T_cam_world, camera)
         assert off[0] < turn and off[1] < move
         assert result.support > 0.7 and result.evidence > refinement.PROOF
@@ -218,26 +249,34 @@ def test_the_covariance_is_honest(tmp_path):
     for seed in range(12):
         random, _, model, camera = trials.room_trial(seed, tmp_path, 1)
         D, pair = rig_of(camera)
-        shots = [trials.photograph(np.random.default_rng(seed), model, Camera(c.K, c.width, c.height, c.T_cam_world @ camera.T_cam_world)) for c in pair]
+        shots = [
+            trials.photograph(
+                np.random.default_rng(seed), model, Camera(c.K, c.width, c.height, c.T_cam_world @ camera.T_cam_world)
+            )
+            for c in pair
+        ]
         sides = []
         for c, shot in zip(pair, shots):
             f, x, y = random.normal(size=3) * 0.1
             K = c.K + np.array([[0, 0, x], [0, 0, y], [0, 0, 0]])
             K[[0, 1], [0, 1]] *= 1 + f / np.hypot(c.width / 2, c.height / 2)
-            sides.append(refinement.Side(Camera(K, c.width, c.height, c.T_cam_world), shot))
+            sides.append(rig_.Side(Camera(K, c.width, c.height, c.T_cam_world), shot))
         result = refinement.refine(model, sides, start(camera.T_cam_world, random, 1, 0.03))
         gap = cameras.rt_from_matrix(camera.T_cam_world @ np.linalg.inv(result.cameras[0].T_cam_world))
         far.append(gap @ np.linalg.solve(result.covariance, gap))
     assert np.mean(np.array(far) < chi2.ppf(0.95, 6)) >= 0.8
-    assert 1.5 < np.median(far) < 9                                             # 5.3 expected: neither boasting nor hiding
+    assert 1.5 < np.median(far) < 9  # 5.3 expected: neither boasting nor hiding
 
 
 def test_the_photographs_settle_what_planes_leave_open(tmp_path):
     """Of two poses that the facets cannot tell apart only one puts edges on edges; where the model is symmetric both do."""
     random, _, model, camera = trials.room_trial(1, tmp_path, 1)
     shot = trials.photograph(random, model, camera)
-    side = refinement.Side(Camera(camera.K, camera.width, camera.height, np.eye(4)), shot)
-    good, bad = start(camera.T_cam_world, random, 0.3, 0.01).poses[0], start(recognition.moved(camera.T_cam_world, [0, 0.5, 0, 0.7, 0, 0]), random, 0.3, 0.01).poses[0]
+    side = rig_.Side(Camera(camera.K, camera.width, camera.height, np.eye(4)), shot)
+    good, bad = (
+        start(camera.T_cam_world, random, 0.3, 0.01).poses[0],
+        start(closed_form.moved(camera.T_cam_world, [0, 0.5, 0, 0.7, 0, 0]), random, 0.3, 0.01).poses[0],
+    )
     result = refinement.refine(model, [side], SimpleNamespace(poses=(bad, good), status="ambiguous"))
     assert result.status == "unique" and result.chosen == 1
     assert trials.pose_error(result.cameras[0].T_cam_world, camera)[0] < 0.1
@@ -246,6 +285,7 @@ def test_the_photographs_settle_what_planes_leave_open(tmp_path):
 
 
 # The executable.
+
 
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory):
@@ -256,7 +296,9 @@ def chain(tmp_path_factory):
     write_facets(folder / "facets.json", facets)
     _, pair = rig_of(camera)
     for name, c in zip(("left", "right"), pair):
-        shot = trials.photograph(np.random.default_rng(5), model, Camera(c.K, c.width, c.height, c.T_cam_world @ camera.T_cam_world))
+        shot = trials.photograph(
+            np.random.default_rng(5), model, Camera(c.K, c.width, c.height, c.T_cam_world @ camera.T_cam_world)
+        )
         image.write_png8(folder / f"{name}.png", np.round(255 * shot.values).astype(np.uint8))
         image.write_png16(folder / f"{name}.regions.png", np.ones((c.height, c.width), np.uint16))
         cameras.write_cameramodel(folder / f"{name}.cameramodel", c)
@@ -264,16 +306,44 @@ def chain(tmp_path_factory):
 
 
 def write_facets(path, facets, **more):
-    entries = [{"left_label": int(a), "right_label": int(b), "plane": {"n": list(n), "d": -float(d)}, "polygon": polygon.tolist(), "overlap": 0.9, "covariance": C.tolist()}
-               for (a, b), n, d, polygon, C in zip(facets.labels, facets.normal, facets.distance, facets.polygons, facets.covariance)]
+    entries = [
+        {
+            "left_label": int(a),
+            "right_label": int(b),
+            "plane": {"n": list(n), "d": -float(d)},
+            "polygon": polygon.tolist(),
+            "overlap": 0.9,
+            "covariance": C.tolist(),
+        }
+        for (a, b), n, d, polygon, C in zip(
+            facets.labels, facets.normal, facets.distance, facets.polygons, facets.covariance
+        )
+    ]
     path.write_text(json.dumps({"frame": "left", "unit": facets.unit, "facets": entries} | more))
 
 
 def words(folder, out, **other):
-    files = {"facets": "facets.json", "model": "model.obj", "photograph": "left.png", "photograph-right": "right.png", "regions": "left.regions.png",
-             "regions-right": "right.regions.png", "camera": "left.cameramodel", "camera-right": "right.cameramodel"} | other
-    made = {"posed": "left.posed.cameramodel", "posed-right": "right.posed.cameramodel", "pose": "pose.json", "report": "recognise.report.json"}
-    return ["stages/recognise.py", *(w for name, value in files.items() for w in (f"--{name}", folder / value)), *(w for name, value in made.items() for w in (f"--{name}", out / value))]
+    files = {
+        "facets": "facets.json",
+        "model": "model.obj",
+        "photograph": "left.png",
+        "photograph-right": "right.png",
+        "regions": "left.regions.png",
+        "regions-right": "right.regions.png",
+        "camera": "left.cameramodel",
+        "camera-right": "right.cameramodel",
+    } | other
+    made = {
+        "posed": "left.posed.cameramodel",
+        "posed-right": "right.posed.cameramodel",
+        "pose": "pose.json",
+        "report": "recognise.report.json",
+    }
+    return [
+        "stages/recognise.py",
+        *(w for name, value in files.items() for w in (f"--{name}", folder / value)),
+        *(w for name, value in made.items() for w in (f"--{name}", out / value)),
+    ]
 
 
 def test_from_outside(run, chain, tmp_path):
@@ -302,6 +372,7 @@ def test_refusals_are_one_line(refuses, chain, tmp_path, files_under):
         lines = refuses(*words(folder, tmp_path, facets="bad.json", **options))
         assert len(lines) == 1 and not files_under(tmp_path)
         return lines[0]
+
     assert "at least 3" in refused(content | {"facets": content["facets"][:1]})
     assert "unit: 'foot'" in refused(content | {"unit": "foot"})
     assert "orientation is missing" in refused(content | {"unit": "baseline"})
@@ -314,25 +385,29 @@ def test_refusals_are_one_line(refuses, chain, tmp_path, files_under):
 def test_no_facets_is_bad_input_only_where_it_must(tmp_path):
     path = tmp_path / "facets.json"
     path.write_text('{"frame": "left", "unit": "m", "facets": []}')
-    assert len(recognition.read_facets(path)) == 0
+    assert len(hashing.read_facets(path)) == 0
     path.write_text('{"frame": "right", "unit": "m", "facets": []}')
     with pytest.raises(BadInput, match="frame"):
-        recognition.read_facets(path)
+        hashing.read_facets(path)
 
 
-@pytest.mark.parametrize("own, found, rival, found_rival, told", [
-    (40, 36, 40, 0, True),            # its poster is there, the rival's is not
-    (40, 26, 0, 0, False),            # two of its poster's edges are there by chance; the rival shows no poster
-    (40, 10, 40, 0, False),           # neither's poster is there
-    (0, 0, 60, 0, True),              # the rival shows what is not there
-    (0, 0, 20, 0, False),             # ... but hardly enough of it
-])
+@pytest.mark.parametrize(
+    "own, found, rival, found_rival, told",
+    [
+        (40, 36, 40, 0, True),  # its poster is there, the rival's is not
+        (40, 26, 0, 0, False),  # two of its poster's edges are there by chance; the rival shows no poster
+        (40, 10, 40, 0, False),  # neither's poster is there
+        (0, 0, 60, 0, True),  # the rival shows what is not there
+        (0, 0, 20, 0, False),  # ... but hardly enough of it
+    ],
+)
 def test_twins_are_told_apart_by_what_is_there(own, found, rival, found_rival, told):
     """Two rooms alike but for one thing: the photographs decide only where they show it."""
-    from lib.refinement import _refuted
+    from lib.vision.refinement.evidence import refuted
 
     def predicted(number, found, x):
         common = np.column_stack([np.arange(100) * 5.0, np.zeros(100)])
         q = np.concatenate([common, np.column_stack([np.arange(number) * 5.0, np.full(number, x)])])
         return [(q, np.tile([0.0, 1.0], (len(q), 1)), np.arange(len(q)) < 100 + found, np.zeros(len(q)))]
-    assert _refuted(predicted(own, found, 100.0), predicted(rival, found_rival, 200.0), 0.9, 0.08, 8.0) == told
+
+    assert refuted(predicted(own, found, 100.0), predicted(rival, found_rival, 200.0), 0.9, 0.08, 8.0) == told

@@ -1,23 +1,30 @@
 """§2.3 Reconstruction: planes of exact pairs against their predicted covariance, real planes, laws and extremes."""
+
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lib import cameras, facets, image, matching
-from lib.cameras import Camera
-from tests import pairs
-from tests.test_match import files, parallel                       # noqa: F401  a fixture
+from lib.given import cameras, image
+from lib.given.cameras import Camera
+from lib.vision import matching
+from lib.vision.facets import borders
+from lib.vision.facets import contours_kernels as kernels
+from lib.vision.facets import planes as facets
+from tests.helpers import pairs
+from tests.helpers.pairs import parallel
 
 DATA = Path(__file__).resolve().parents[1] / "data"
-CHI2_95 = 7.815                                                    # 3 degrees of freedom
+CHI2_95 = 7.815  # 3 degrees of freedom
 
 
 def reconstructed(Q, sigma=0.01, seed=0):
     """{left label: Facet}, refused; the matches are the true ones."""
     both = np.intersect1d(*[np.unique(x) for x in Q.labels])
-    found, refused, _ = facets.reconstruct(matching.stereo(Q.left, Q.right), Q.labels, Q.noisy(sigma, np.random.default_rng(seed)), both, both)
+    found, refused, _ = facets.reconstruct(
+        matching.stereo(Q.left, Q.right), Q.labels, Q.noisy(sigma, np.random.default_rng(seed)), both, both
+    )
     return {x.left_label: x for x in found}, {x.left_label: x.why for x in refused}
 
 
@@ -31,6 +38,7 @@ def angle_deg(m, true):
 
 
 # -- the covariance is honest
+
 
 def test_coverage_of_true_regions():
     """100 scenes of 6 exact quadrilaterals, each with its own planes, camera and noise: of 95 % regions, 90 to 98 % hold the truth."""
@@ -48,10 +56,16 @@ def test_coverage_of_texture():
     inside, error = [], []
     for seed in range(40):
         Q = pairs.textured(seed)
-        found, refused, _ = facets.reconstruct(matching.stereo(Q.left, Q.right), Q.labels, Q.noisy(0.01, np.random.default_rng(seed)), np.array([1]), np.array([1]))
+        found, refused, _ = facets.reconstruct(
+            matching.stereo(Q.left, Q.right),
+            Q.labels,
+            Q.noisy(0.01, np.random.default_rng(seed)),
+            np.array([1]),
+            np.array([1]),
+        )
         inside.append(chi2(found[0], Q.m[1]) < CHI2_95)
         error.append((found[0].m - Q.m[1])[2] / Q.m[1, 2])
-    assert 0.85 <= np.mean(inside) <= 0.99                          # 40 trials: 0.95 +- 0.034
+    assert 0.85 <= np.mean(inside) <= 0.99  # 40 trials: 0.95 +- 0.034
     assert abs(np.mean(error)) < 3 * np.std(error) / np.sqrt(40) + 2e-5
 
 
@@ -65,11 +79,19 @@ def test_baseline_towards_zero():
             Q = pairs.quads(seed, baseline=baseline)
             found, refused = reconstructed(Q, seed=seed)
             inside += [chi2(x, Q.m[label]) < CHI2_95 for label, x in found.items() if label < 7]
-            sigma |= {(baseline, seed, label): baseline * np.sqrt(np.trace(x.covariance)) for label, x in found.items() if label < 7}
+            sigma |= {
+                (baseline, seed, label): baseline * np.sqrt(np.trace(x.covariance))
+                for label, x in found.items()
+                if label < 7
+            }
         count[baseline] = len(inside)
         assert np.mean(inside) > 0.86
     for baseline in (0.1, 0.025):
-        ratio = [s / sigma[0.4, seed, label] for (b, seed, label), s in sigma.items() if b == baseline and (0.4, seed, label) in sigma]
+        ratio = [
+            s / sigma[0.4, seed, label]
+            for (b, seed, label), s in sigma.items()
+            if b == baseline and (0.4, seed, label) in sigma
+        ]
         assert 0.75 < np.median(ratio) < 1.35
     assert count[0.4] >= count[0.1] >= count[0.025]
 
@@ -93,27 +115,32 @@ def test_the_slope_of_the_contours_by_difference():
     """The coefficients of (a, b, c) against finite differences of the residual, at fixed correspondences, at two step sizes."""
     Q = pairs.quads(1)
     pair = matching.stereo(Q.left, Q.right)
-    edges = [facets.borders(pair, l, v, [2], side, 0.003) for l, v, side in zip(Q.labels, Q.values, ("left", "right"))]
-    left, right = facets._of(edges[0], 2), facets._of(edges[1], 2)
+    edges = [borders.borders(pair, l, v, [2], side, 0.003) for l, v, side in zip(Q.labels, Q.values, ("left", "right"))]
+    left, right = borders.of(edges[0], 2), borders.of(edges[1], 2)
     m = pair.R_rect_left @ Q.m[2] * pair.baseline
     plane = np.array([m[0], m[1], m[2] * pair.f_px])
     part = np.zeros(len(left[0]), int)
 
     def rows(p):
         out = np.empty((len(part), 10))
-        n = facets._contour_rows(p, 0.0, 0.0, 4.0, 1.0, *left, part, *right, out)
+        n = kernels.contour_rows(p, 0.0, 0.0, 4.0, 1.0, *left, part, *right, out)
         return out[:n]
+
     base = rows(plane)
     for k, step in ((0, 1e-6), (0, 1e-7), (1, 1e-6), (2, 1e-4), (2, 1e-5)):
         moved = rows(plane + np.eye(3)[k] * step)
         assert len(moved) == len(base)
-        np.testing.assert_allclose((moved[:, 3] - base[:, 3]) / step, base[:, k], rtol=1e-3, atol=1e-3 * np.abs(base[:, k]).max())
+        np.testing.assert_allclose(
+            (moved[:, 3] - base[:, 3]) / step, base[:, k], rtol=1e-3, atol=1e-3 * np.abs(base[:, k]).max()
+        )
 
 
 def test_pictures_without_noise():
     """Exact pictures: planes to 0.05 degree and 0.05 % of depth, no NaN, and a covariance that is still not zero."""
     Q = pairs.quads(7)
-    found, _, _ = facets.reconstruct(matching.stereo(Q.left, Q.right), Q.labels, Q.values, np.arange(1, 7), np.arange(1, 7))
+    found, _, _ = facets.reconstruct(
+        matching.stereo(Q.left, Q.right), Q.labels, Q.values, np.arange(1, 7), np.arange(1, 7)
+    )
     assert len(found) == 6
     for x in found:
         assert angle_deg(x.m, Q.m[x.left_label]) < 0.05
@@ -122,6 +149,7 @@ def test_pictures_without_noise():
 
 
 # -- real pictures
+
 
 def test_chessboards():
     """The 13 real pairs, calibrated with OpenCV here: the board's plane from its region against the plane through its triangulated
@@ -136,13 +164,27 @@ def test_chessboards():
     grey, corners = {}, {}
     for side in ("left", "right"):
         for name in names:
-            grey[side, name] = cv2.imread(str(DATA / "opencv-stereo13" / "boards" / f"{side}-{name}.png"), cv2.IMREAD_GRAYSCALE)
+            grey[side, name] = cv2.imread(
+                str(DATA / "opencv-stereo13" / "boards" / f"{side}-{name}.png"), cv2.IMREAD_GRAYSCALE
+            )
             q = cv2.findChessboardCorners(grey[side, name], (nx, ny))[1]
-            corners[side, name] = cv2.cornerSubPix(grey[side, name], q.astype(np.float32), (5, 5), (-1, -1), (3, 50, 1e-4))
+            corners[side, name] = cv2.cornerSubPix(
+                grey[side, name], q.astype(np.float32), (5, 5), (-1, -1), (3, 50, 1e-4)
+            )
     points = [board] * len(names)
-    lens = {s: cv2.calibrateCamera(points, [corners[s, n] for n in names], (640, 480), None, None)[1:3] for s in ("left", "right")}
-    R, t = cv2.stereoCalibrate(points, [corners["left", n] for n in names], [corners["right", n] for n in names], *lens["left"], *lens["right"], (640, 480),
-                               flags=cv2.CALIB_FIX_INTRINSIC)[5:7]
+    lens = {
+        s: cv2.calibrateCamera(points, [corners[s, n] for n in names], (640, 480), None, None)[1:3]
+        for s in ("left", "right")
+    }
+    R, t = cv2.stereoCalibrate(
+        points,
+        [corners["left", n] for n in names],
+        [corners["right", n] for n in names],
+        *lens["left"],
+        *lens["right"],
+        (640, 480),
+        flags=cv2.CALIB_FIX_INTRINSIC,
+    )[5:7]
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, t[:, 0]
     left, right = (Camera(lens[s][0], 640, 480, pose) for s, pose in (("left", np.eye(4)), ("right", T)))
@@ -156,8 +198,10 @@ def test_chessboards():
             q.append(cv2.undistortPoints(corners[side, name], K, D, P=K)[:, 0])
             ring = q[-1].reshape(ny, nx, 2)[[0, 0, -1, -1], [0, -1, -1, 0]]
             H = cv2.getPerspectiveTransform(np.float32([[0, 0], [8, 0], [8, 5], [0, 5]]), np.float32(ring))
-            outer = cv2.perspectiveTransform(np.float32([[[-.9, -.9], [8.9, -.9], [8.9, 5.9], [-.9, 5.9]]]), H)[0]
-            labels.append(cv2.fillConvexPoly(np.ones((480, 640), np.uint8), np.round(outer).astype(np.int32), 2).astype(np.int32))
+            outer = cv2.perspectiveTransform(np.float32([[[-0.9, -0.9], [8.9, -0.9], [8.9, 5.9], [-0.9, 5.9]]]), H)[0]
+            labels.append(
+                cv2.fillConvexPoly(np.ones((480, 640), np.uint8), np.round(outer).astype(np.int32), 2).astype(np.int32)
+            )
         p = cv2.triangulatePoints(left.K @ np.eye(4)[:3], right.K @ T[:3], q[0].T, q[1].T)
         p = (p[:3] / p[3]).T
         n = np.linalg.svd(p - p.mean(axis=0))[2][2]
@@ -165,7 +209,7 @@ def test_chessboards():
         matches = matching.match(pair, *labels, *values)
         assert 2 in matches.left
         found, refused, _ = facets.reconstruct(pair, labels, values, matches.left, matches.right)
-        board_facet, = [x for x in found if x.left_label == 2]
+        (board_facet,) = [x for x in found if x.left_label == 2]
         v = p.mean(axis=0) / p.mean(axis=0)[2]
         worst = np.maximum(worst, [angle_deg(board_facet.m, true), abs((v @ true) / (v @ board_facet.m) - 1)])
     assert worst[0] < 0.5 and worst[1] < 0.005
@@ -175,11 +219,27 @@ def test_chessboards():
 def test_middlebury(scene, run, tmp_path):
     """From the photographs through the stages: median disparity error of the accepted facets, and how much of the picture they cover."""
     folder = DATA / scene
-    words = {"photograph": folder / "left.png", "photograph-right": folder / "right.png", "regions": tmp_path / "l.png", "regions-right": tmp_path / "r.png"}
+    words = {
+        "photograph": folder / "left.png",
+        "photograph-right": folder / "right.png",
+        "regions": tmp_path / "l.png",
+        "regions-right": tmp_path / "r.png",
+    }
     both = [w for k, v in words.items() for w in (f"--{k}", v)]
-    more = [*both, "--camera", folder / "left.cameramodel", "--camera-right", folder / "right.cameramodel", "--matches", tmp_path / "m.csv"]
-    for stage in (["stages/segment.py", *both, "--lambda", "1"], ["stages/match.py", *more],
-                  ["stages/reconstruct.py", *more, "--facets", tmp_path / "facets.json", "--mesh", tmp_path / "facets.ply"]):
+    more = [
+        *both,
+        "--camera",
+        folder / "left.cameramodel",
+        "--camera-right",
+        folder / "right.cameramodel",
+        "--matches",
+        tmp_path / "m.csv",
+    ]
+    for stage in (
+        ["stages/segment.py", *both, "--lambda", "1"],
+        ["stages/match.py", *more],
+        ["stages/reconstruct.py", *more, "--facets", tmp_path / "facets.json", "--mesh", tmp_path / "facets.ply"],
+    ):
         result = run(*stage)
         assert result.returncode == 0, result.stderr
     camera, other = (cameras.read_cameramodel(folder / f"{s}.cameramodel") for s in ("left", "right"))
@@ -189,7 +249,9 @@ def test_middlebury(scene, run, tmp_path):
     for x in json.loads((tmp_path / "facets.json").read_text())["facets"]:
         here = labels == x["left_label"]
         m = np.array(x["plane"]["n"]) / x["plane"]["d"]
-        disparity = camera.K[0, 0] * np.linalg.norm(other.centre - camera.centre) * camera.directions(camera.pixels()[here]) @ m
+        disparity = (
+            camera.K[0, 0] * np.linalg.norm(other.centre - camera.centre) * camera.directions(camera.pixels()[here]) @ m
+        )
         error.append(np.abs(disparity - truth[here])[truth[here] > 0])
         covered += here.sum()
     assert covered / labels.size >= 0.30
@@ -198,10 +260,11 @@ def test_middlebury(scene, run, tmp_path):
 
 # -- at the edge
 
+
 def band(labels_of, shift=6, size=(120, 160)):
     """A parallel pair of a scene whose labels are those of labels_of(v, u), everything `shift` pixels apart."""
     left, right = parallel(size[1], size[0], 150.0, 0.1)
-    y, x = np.mgrid[:size[0], :size[1]]
+    y, x = np.mgrid[: size[0], : size[1]]
     labels = tuple(labels_of(y, x + s).astype(np.int32) for s in (0, shift))
     values = tuple(np.array([0.2, 0.5, 0.8, 0.35])[l][..., None] for l in labels)
     return pairs.Quads(left, right, values, labels, np.zeros((4, 3)))
@@ -239,21 +302,27 @@ def test_through_a_camera_centre():
     labels = [x.copy() for x in Q.labels]
     y, x = np.nonzero(labels[1] == 1)
     labels[1][labels[1] == 1] = 7
-    labels[1][y.min():y.max() + 1, x.mean().astype(int)] = 1
-    found, refused, _ = facets.reconstruct(matching.stereo(Q.left, Q.right), labels, Q.values, np.array([1]), np.array([1]))
+    labels[1][y.min() : y.max() + 1, x.mean().astype(int)] = 1
+    found, refused, _ = facets.reconstruct(
+        matching.stereo(Q.left, Q.right), labels, Q.values, np.array([1]), np.array([1])
+    )
     assert not found and refused[0].why
 
 
 def test_a_wrong_pair_is_refused():
     """Quadrilaterals of other shapes do not cover each other, whatever the plane."""
     Q = pairs.quads(0)
-    found, refused, _ = facets.reconstruct(matching.stereo(Q.left, Q.right), Q.labels, Q.values, np.array([1, 2]), np.array([3, 6]))
+    found, refused, _ = facets.reconstruct(
+        matching.stereo(Q.left, Q.right), Q.labels, Q.values, np.array([1, 2]), np.array([3, 6])
+    )
     assert not found and len(refused) == 2
 
 
 def test_nothing_to_reconstruct():
     Q = pairs.quads(0)
-    assert facets.reconstruct(matching.stereo(Q.left, Q.right), Q.labels, Q.values, np.array([], int), np.array([], int))[:2] == ([], [])
+    assert facets.reconstruct(
+        matching.stereo(Q.left, Q.right), Q.labels, Q.values, np.array([], int), np.array([], int)
+    )[:2] == ([], [])
 
 
 def test_noise_of_a_resampled_picture():
@@ -263,10 +332,10 @@ def test_noise_of_a_resampled_picture():
     rng = np.random.default_rng(0)
     white = 0.5 + rng.normal(0, 0.02, (200, 300, 1))
     one = np.ones((200, 300), int)
-    assert facets.noise(white, one) == pytest.approx(0.02, rel=0.05)
+    assert borders.noise(white, one) == pytest.approx(0.02, rel=0.05)
     soft = cv2.GaussianBlur(white, (0, 0), 0.7)[..., None]
-    assert facets.noise(soft, one) == pytest.approx(soft.std(), rel=0.1)
-    assert facets.noise(np.full((20, 20, 1), 0.5), np.ones((20, 20), int)) > 0
+    assert borders.noise(soft, one) == pytest.approx(soft.std(), rel=0.1)
+    assert borders.noise(np.full((20, 20, 1), 0.5), np.ones((20, 20), int)) > 0
 
 
 def test_noise_is_no_texture():
@@ -274,20 +343,33 @@ def test_noise_is_no_texture():
     rng = np.random.default_rng(0)
     Q = pairs.textured(0)
     values = [0.5 + rng.normal(0, 0.05, v.shape) for v in Q.values]
-    found, refused, _ = facets.reconstruct(matching.stereo(Q.left, Q.right), Q.labels, values, np.array([1]), np.array([1]))
-    assert not found or chi2(found[0], Q.m[1]) < 3 * CHI2_95         # what the outline alone says may stand
+    found, refused, _ = facets.reconstruct(
+        matching.stereo(Q.left, Q.right), Q.labels, values, np.array([1]), np.array([1])
+    )
+    assert not found or chi2(found[0], Q.m[1]) < 3 * CHI2_95  # what the outline alone says may stand
 
 
 # -- from outside
 
-def test_stage_writes_the_contract(run, files, tmp_path):         # noqa: F811
+
+def test_stage_writes_the_contract(run, pair_files, tmp_path):  # noqa: F811
     Q = pairs.quads(2)
-    words = [*files(Q), "--matches", tmp_path / "matches.csv"]
+    words = [*pair_files(Q), "--matches", tmp_path / "matches.csv"]
     run("stages/match.py", *words)
     orientation = tmp_path / "orientation.json"
     for unit, more in (("m", []), ("baseline", ["--orientation", orientation])):
         orientation.write_text(json.dumps({"unit": "baseline"}))
-        result = run("stages/reconstruct.py", *words, "--facets", tmp_path / "facets.json", "--mesh", tmp_path / "facets.ply", "--report", tmp_path / "r.json", *more)
+        result = run(
+            "stages/reconstruct.py",
+            *words,
+            "--facets",
+            tmp_path / "facets.json",
+            "--mesh",
+            tmp_path / "facets.ply",
+            "--report",
+            tmp_path / "r.json",
+            *more,
+        )
         assert result.returncode == 0, result.stderr
         content = json.loads((tmp_path / "facets.json").read_text())
         assert content["frame"] == "left" and content["unit"] == unit
@@ -304,6 +386,7 @@ def test_stage_writes_the_contract(run, files, tmp_path):         # noqa: F811
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["facets"] == 6 and report["timings"]["reconstruct"]["wall_s"] < 5
     import trimesh
+
     mesh = trimesh.load(tmp_path / "facets.ply", process=False)
     assert len(mesh.faces) == 2 * 6 and len(mesh.vertices) == 4 * 6
 
@@ -321,19 +404,27 @@ def test_polygon_corners_to_a_fraction_of_a_pixel():
         ys, xs = np.nonzero(inside)
         assert abs(q[:, 0].min() - xs.min() + 0.5) < 1.2 and abs(q[:, 1].max() - ys.max() - 0.5) < 1.2
         area = 0.5 * abs(np.sum(q[:, 0] * np.roll(q[:, 1], -1) - q[:, 1] * np.roll(q[:, 0], -1)))
-        assert area == pytest.approx(inside.sum(), rel=0.004)       # an outline through pixel centres would miss 1.5 %
+        assert area == pytest.approx(inside.sum(), rel=0.004)  # an outline through pixel centres would miss 1.5 %
 
 
-def test_stage_refuses(refuses, files, files_under, tmp_path):    # noqa: F811
+def test_stage_refuses(refuses, pair_files, files_under, tmp_path):  # noqa: F811
     Q = pairs.quads(2)
-    words = [*files(Q), "--matches", tmp_path / "matches.csv", "--facets", tmp_path / "facets.json", "--mesh", tmp_path / "facets.ply"]
-    line, = refuses("stages/reconstruct.py", *words)
+    words = [
+        *pair_files(Q),
+        "--matches",
+        tmp_path / "matches.csv",
+        "--facets",
+        tmp_path / "facets.json",
+        "--mesh",
+        tmp_path / "facets.ply",
+    ]
+    (line,) = refuses("stages/reconstruct.py", *words)
     assert "matches.csv" in line
     (tmp_path / "matches.csv").write_text("left_label,right_label,similarity\n1,99,0.9\n")
     before = files_under(tmp_path)
-    line, = refuses("stages/reconstruct.py", *words)
+    (line,) = refuses("stages/reconstruct.py", *words)
     assert "99" in line and files_under(tmp_path) == before
     cameras.write_cameramodel(tmp_path / "right.cameramodel", Q.left)
     (tmp_path / "matches.csv").write_text("left_label,right_label,similarity\n1,1,0.9\n")
-    line, = refuses("stages/reconstruct.py", *words)
+    (line,) = refuses("stages/reconstruct.py", *words)
     assert "same centre" in line

@@ -3,13 +3,14 @@
 The bounds' upper ends are at most what was promised (0.5 % mean, 0.01 largest absolute, gamma within 0.01); office-1 to
 office-3 were never tuned on. A second make does nothing.
 """
+
 import os
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from lib import comparing
+from lib.verdict import scorecard
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = sorted(path.stem for path in (ROOT / "tests/expected").glob("*.csv"))
@@ -25,7 +26,7 @@ def test_scene_keeps_its_bounds(scene, tmp_path):
     run = make(scene, build=tmp_path)
     assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
     assert (tmp_path / scene / "report.html").exists()
-    assert comparing.check(tmp_path / scene / "scorecard.csv", ROOT / f"tests/expected/{scene}.csv") == []
+    assert scorecard.check(tmp_path / scene / "scorecard.csv", ROOT / f"tests/expected/{scene}.csv") == []
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / scene).iterdir()}
     again = make(scene, build=tmp_path)
     assert again.returncode == 0 and "stages/" not in again.stdout, again.stdout
@@ -33,4 +34,6 @@ def test_scene_keeps_its_bounds(scene, tmp_path):
 
 
 def test_every_scene_with_truth_is_watched():
-    assert SCENES == sorted(p.parent.name for p in (ROOT / "data").glob("*/truth") if (p.parent / "scene.yaml").is_file())
+    assert (
+        sorted(p.parent.name for p in (ROOT / "data").glob("*/truth") if (p.parent / "scene.yaml").is_file()) == SCENES
+    )

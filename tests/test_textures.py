@@ -1,29 +1,23 @@
 """Albedo maps of a checkered panel: against the true pattern, by law (units, noise, no holes), at the edge, and their files."""
+
 import dataclasses
 import json
 
 import numpy as np
 import pytest
 
-from lib import image, mesh, textures
-from lib.cameras import Camera
-from lib.gather import backproject
-from lib.stage import BadInput
-from tests import rooms
+from lib.core.stage import BadInput
+from lib.given import image
+from lib.given.cameras import Camera
+from lib.light import surface as surfaces
+from lib.light.surface import backproject
+from lib.picture import albedo_maps as textures
+from lib.picture import albedo_maps_kernels as kernels
+from tests.helpers import rooms
+from tests.helpers.views import FRONT, SQUARE, look
 
-SQUARE = rooms.panel("panel", (0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0))
-FRONT = ((0.5, 0.5, 1.1), (0.5, 0.5001, 0))
-GRAZING = ((0.5, -1.8, 0.4), (0.5, 0.5, 0))               # the middle is seen at 80 degrees from its normal
+GRAZING = ((0.5, -1.8, 0.4), (0.5, 0.5, 0))  # the middle is seen at 80 degrees from its normal
 CELL = 0.1
-
-
-def look(eye, target, size, focal):
-    z = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    x = np.cross(z, (0, 0, 1)) / np.linalg.norm(np.cross(z, (0, 0, 1)))
-    T = np.eye(4)
-    T[:3, :3] = [x, np.cross(z, x), z]
-    T[:3, 3] = -T[:3, :3] @ eye
-    return Camera(np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]]), *size, T)
 
 
 def parity(xy):
@@ -44,7 +38,7 @@ def on_floor(camera, q):
 
 @dataclasses.dataclass
 class Shot:
-    surface: mesh.Surface
+    surface: surfaces.Surface
     camera: Camera
     facet: np.ndarray
     usable: np.ndarray
@@ -54,12 +48,28 @@ class Shot:
 
     def map(self, noise=1e-4, linear=None, usable=None, constant=None, irradiance=None, wanted=(0,), **options):
         light = self.irradiance if irradiance is None else irradiance
-        maps = textures.albedo_maps(self.surface, self.camera, self.facet, self.usable if usable is None else usable,
-                                    self.albedo * light if linear is None else linear, light, noise, self.constant if constant is None else constant, wanted, **options)
+        maps = textures.albedo_maps(
+            self.surface,
+            self.camera,
+            self.facet,
+            self.usable if usable is None else usable,
+            self.albedo * light if linear is None else linear,
+            light,
+            noise,
+            self.constant if constant is None else constant,
+            wanted,
+            **options,
+        )
         assert list(maps) == list(wanted)
         for t in maps.values():
             assert all(np.isfinite(x).all() for x in (t.albedo, t.known, t.sigma, t.inside))
-            assert t.albedo.min() >= 0 and t.albedo.max() <= 1 and t.known.min() >= 0 and t.known.max() <= 1 and t.sigma.min() >= 0
+            assert (
+                t.albedo.min() >= 0
+                and t.albedo.max() <= 1
+                and t.known.min() >= 0
+                and t.known.max() <= 1
+                and t.sigma.min() >= 0
+            )
         return maps[wanted[0]]
 
 
@@ -73,11 +83,19 @@ def shoot(folder, view=FRONT, size=(128, 128), focal=120.0, pattern=checker, sub
         for dy in (np.arange(sub) + 0.5) / sub - 0.5:
             xy = on_floor(camera, camera.pixels() + (dx, dy))
             hit = ((xy >= 0) & (xy <= 1)).all(axis=-1)
-            albedo += pattern(xy) / sub ** 2
+            albedo += pattern(xy) / sub**2
             whole &= hit
             some |= hit
     irradiance = np.broadcast_to(0.4 + 0.5 * camera.pixels()[..., :1] / size[0], albedo.shape)
-    return Shot(surface, camera, np.where(some, 0, -1), whole, albedo, irradiance, albedo[whole if whole.any() else some].mean(axis=0))
+    return Shot(
+        surface,
+        camera,
+        np.where(some, 0, -1),
+        whole,
+        albedo,
+        irradiance,
+        albedo[whole if whole.any() else some].mean(axis=0),
+    )
 
 
 def places(shot, t):
@@ -100,6 +118,7 @@ def grazing(tmp_path_factory):
 
 # -- against the true pattern
 
+
 def test_error_falls_with_resolution(front, tmp_path):
     """Inside the checks the albedo is there at once; edges, a pixel wide, are a share of all texels that halves."""
     shots = [shoot(tmp_path, size=(48, 48), focal=45.0), front, shoot(tmp_path, size=(320, 320), focal=300.0, sub=4)]
@@ -108,7 +127,7 @@ def test_error_falls_with_resolution(front, tmp_path):
         t = shot.map()
         error = t.albedo - checker(places(shot, t)[1])
         errors.append(np.abs(error).mean())
-        assert np.sqrt((error[..., 2] ** 2).mean()) < 3e-3                     # the slope, which has no edges
+        assert np.sqrt((error[..., 2] ** 2).mean()) < 3e-3  # the slope, which has no edges
         assert np.median(np.abs(error)) < 2e-3
         assert textures.mean(t) == pytest.approx(checker(places(shot, t)[1]).reshape(-1, 3).mean(axis=0), abs=1e-3)
     assert errors[1] < 0.5 * errors[0] and errors[2] < 0.5 * errors[1] and 1e-4 < errors[2] < 0.01
@@ -121,13 +140,24 @@ def test_no_holes_and_no_blur_beyond_a_pixel(name, request):
     t = shot.map()
     p, xy = places(shot, t)
     q = shot.camera.project(np.concatenate([xy, np.zeros((*xy.shape[:2], 1))], axis=2))
-    around = np.stack([parity(on_floor(shot.camera, q + (dx, dy))) for dx in np.linspace(-1.6, 1.6, 9) for dy in np.linspace(-1.6, 1.6, 9)])
+    around = np.stack(
+        [
+            parity(on_floor(shot.camera, q + (dx, dy)))
+            for dx in np.linspace(-1.6, 1.6, 9)
+            for dy in np.linspace(-1.6, 1.6, 9)
+        ]
+    )
     plain = (around == parity(xy)).all(axis=0)
     step = int(np.ceil(2 * max(t.known.shape) / 100))
-    plain[:step], plain[-step:], plain[:, :step], plain[:, -step:] = False, False, False, False       # the rim, continued from its neighbours
+    plain[:step], plain[-step:], plain[:, :step], plain[:, -step:] = (
+        False,
+        False,
+        False,
+        False,
+    )  # the rim, continued from its neighbours
     assert plain.mean() > 0.15
     error = np.abs(t.albedo - checker(xy))[plain]
-    assert error.max() < 0.012                             # the slope over a pixel and a half is 0.01 at most
+    assert error.max() < 0.012  # the slope over a pixel and a half is 0.01 at most
     assert t.known.min() > 0.3
 
 
@@ -136,7 +166,12 @@ def test_the_photograph_comes_back(front, grazing):
     for shot in (front, grazing):
         pixel = np.flatnonzero(shot.usable)
         p, side = backproject(shot.surface, shot.camera, np.zeros(len(pixel), int), pixel)
-        errors = [np.sqrt(np.mean((textures.lookup(shot.map(finer=finer), shot.surface, p, side) - shot.albedo[shot.usable]) ** 2)) for finer in (1, 2, 4)]
+        errors = [
+            np.sqrt(
+                np.mean((textures.lookup(shot.map(finer=finer), shot.surface, p, side) - shot.albedo[shot.usable]) ** 2)
+            )
+            for finer in (1, 2, 4)
+        ]
         assert errors[0] > errors[1] > errors[2] and errors[1] < 0.013
 
 
@@ -152,6 +187,7 @@ def test_homography_is_backprojection(grazing):
 
 # -- by law
 
+
 @pytest.mark.parametrize("relative", [0.03, 0.3])
 def test_noise(front, relative):
     """Noise of 3 % goes into sigma, which is true; of 30 %, texels are drawn to the constant and come out better than the photograph."""
@@ -160,10 +196,12 @@ def test_noise(front, relative):
     noise = relative * linear.mean(axis=2)
     t = front.map(noise=noise, linear=linear + noise[..., None] * rng.normal(size=linear.shape))
     error = t.albedo - checker(places(front, t)[1])
-    rms = np.sqrt((error ** 2).mean())
-    assert 0.7 < rms / np.sqrt((t.sigma ** 2).mean()) < 1.3
+    rms = np.sqrt((error**2).mean())
+    assert 0.7 < rms / np.sqrt((t.sigma**2).mean()) < 1.3
     assert rms < (0.045 if relative < 0.1 else relative * 0.5)
-    assert textures.mean(t) == pytest.approx(front.constant, abs=0.001 if relative < 0.1 else 0.02)      # bright pixels are noisier here: they count less
+    assert textures.mean(t) == pytest.approx(
+        front.constant, abs=0.001 if relative < 0.1 else 0.02
+    )  # bright pixels are noisier here: they count less
 
 
 def test_noise_that_is_not_told_looks_like_texture_and_what_is_told_does_not(tmp_path):
@@ -219,12 +257,16 @@ def test_both_sides_and_seen_from_behind(tmp_path):
     assert a.albedo.shape == b.albedo.shape and np.abs(a.albedo - b.albedo).mean() < 0.01
     p, _ = places(above, a)
     p = p.reshape(-1, 3)[::50]
-    assert (textures.lookup(a, above.surface, p, np.zeros(len(p), int)) == textures.lookup(a, above.surface, p, np.ones(len(p), int))).all()
+    assert (
+        textures.lookup(a, above.surface, p, np.zeros(len(p), int))
+        == textures.lookup(a, above.surface, p, np.ones(len(p), int))
+    ).all()
     with pytest.raises(ValueError):
         textures.lookup(a, above.surface, p, np.full(len(p), 2))
 
 
 # -- where the data are poor
+
 
 def test_occluded_half_has_the_constant(front):
     hidden = front.camera.pixels()[..., 0] > 64
@@ -233,37 +275,53 @@ def test_occluded_half_has_the_constant(front):
     t = front.map(usable=front.usable & ~hidden, linear=linear, constant=constant)
     _, xy = places(front, t)
     x = front.camera.project(np.concatenate([xy, np.zeros((*xy.shape[:2], 1))], axis=2))[..., 0]
-    far = x > 64 + textures.REACH + 1.01
+    far = x > 64 + kernels.REACH + 1.01
     assert far.any() and np.abs(t.albedo[far] - constant).max() < 1e-6 and t.known[far].max() == 0
     whole = front.map(constant=constant)
     seen = x < 62
     change = np.abs(t.albedo - whole.albedo)[seen]
-    assert np.median(change) < 1e-6 and change.max() < 0.01      # at the panel's rim, continued by what the half says of its correlation
-    between = ~far & ~seen                                       # it fades from one to the other
+    assert (
+        np.median(change) < 1e-6 and change.max() < 0.01
+    )  # at the panel's rim, continued by what the half says of its correlation
+    between = ~far & ~seen  # it fades from one to the other
     t_known = [t.known[between & (np.abs(x - at) < 0.5)].mean() for at in (64, 66, 68, 70)]
     assert all(np.diff(t_known) < 0)
     spread = np.sqrt(((checker(xy) - constant) ** 2)[far].mean())
-    assert np.sqrt((t.sigma[far] ** 2).mean()) == pytest.approx(spread, rel=0.35)              # the hidden half varies more than the seen one
+    assert np.sqrt((t.sigma[far] ** 2).mean()) == pytest.approx(
+        spread, rel=0.35
+    )  # the hidden half varies more than the seen one
 
 
 def test_saturated_spot_is_filled_from_around(front):
     """A highlight three pixels wide: the texture goes on; nothing of the clipped values gets in."""
     q = front.camera.pixels()
     spot = np.abs(q - (40, 71)).max(axis=-1) <= 1
-    t, whole = front.map(usable=front.usable & ~spot, linear=np.where(spot[..., None], 1.0, front.albedo * front.irradiance)), front.map()
+    t, whole = (
+        front.map(usable=front.usable & ~spot, linear=np.where(spot[..., None], 1.0, front.albedo * front.irradiance)),
+        front.map(),
+    )
     change = np.abs(t.albedo - whole.albedo)
     _, xy = places(front, t)
-    away = np.abs(front.camera.project(np.concatenate([xy, np.zeros((*xy.shape[:2], 1))], axis=2)) - (40, 71)).max(axis=-1) > 2.01
+    away = (
+        np.abs(front.camera.project(np.concatenate([xy, np.zeros((*xy.shape[:2], 1))], axis=2)) - (40, 71)).max(axis=-1)
+        > 2.01
+    )
     assert change[away].max() < 1e-3 and 0 < change[~away].max() < 0.3
-    assert np.abs(change[~away][:, 2]).max() < 0.02              # the slope goes on through it
+    assert np.abs(change[~away][:, 2]).max() < 0.02  # the slope goes on through it
     assert t.known[~away].min() < whole.known[~away].min()
 
 
 def test_nothing_usable(front):
     constant = np.array([0.2, 0.3, 0.4])
-    for t in (front.map(usable=np.zeros_like(front.usable), constant=constant), front.map(irradiance=np.zeros_like(front.irradiance), constant=constant),
-              front.map(linear=np.full(front.albedo.shape, np.nan), constant=constant), front.map(noise=np.inf, constant=constant)):
-        assert np.abs(t.albedo - constant).max() < 1e-6 and not t.known.any() and t.sigma == pytest.approx(textures.UNSEEN)
+    for t in (
+        front.map(usable=np.zeros_like(front.usable), constant=constant),
+        front.map(irradiance=np.zeros_like(front.irradiance), constant=constant),
+        front.map(linear=np.full(front.albedo.shape, np.nan), constant=constant),
+        front.map(noise=np.inf, constant=constant),
+    ):
+        assert (
+            np.abs(t.albedo - constant).max() < 1e-6 and not t.known.any() and t.sigma == pytest.approx(textures.UNSEEN)
+        )
         assert t.clipped == 0 and textures.mean(t) == pytest.approx(constant)
 
 
@@ -287,14 +345,16 @@ def test_a_far_facet_is_one_texel(tmp_path):
     shot = shoot(tmp_path, ((0.5, 0.5, 400), (0.5, 0.5001, 0)), size=(9, 9), focal=100.0, sub=8)
     usable = np.zeros_like(shot.usable)
     usable[4, 4] = True
-    t = dataclasses.replace(shot, constant=np.full(3, 0.5)).map(usable=usable, linear=np.full((9, 9, 3), 0.3) * shot.irradiance)
+    t = dataclasses.replace(shot, constant=np.full(3, 0.5)).map(
+        usable=usable, linear=np.full((9, 9, 3), 0.3) * shot.irradiance
+    )
     assert t.albedo.shape == (1, 1, 3) and t.albedo[0, 0] == pytest.approx(0.3, abs=0.02)
 
 
 def test_a_facet_edge_on_or_behind_the_camera(front, tmp_path):
     for eye, target in (((0.5, -1, 0), (0.5, 1, 0)), ((0.5, 0.5, 1), (0.5, 0.6, 3))):
         blind = dataclasses.replace(front, camera=look(eye, target, (128, 128), 120.0))
-        t = blind.map()                                         # pixels say that they show it: they cannot
+        t = blind.map()  # pixels say that they show it: they cannot
         assert np.abs(t.albedo - front.constant).max() < 0.5
         t = blind.map(usable=np.zeros_like(front.usable))
         assert np.abs(t.albedo - front.constant).max() < 1e-6
@@ -306,7 +366,10 @@ def test_a_camera_on_the_panel(tmp_path):
     sky = ~np.isfinite(shot.albedo).all(axis=2) | (shot.facet < 0)
     t = shot.map(usable=shot.usable & ~sky)
     _, xy = places(shot, t)
-    assert t.known[xy[..., 1] < 0.29].max() == 0 and t.known[(np.abs(xy[..., 0] - 0.5) < 0.1) & (xy[..., 1] > 0.5) & (xy[..., 1] < 0.9)].min() > 0.2
+    assert (
+        t.known[xy[..., 1] < 0.29].max() == 0
+        and t.known[(np.abs(xy[..., 0] - 0.5) < 0.1) & (xy[..., 1] > 0.5) & (xy[..., 1] < 0.9)].min() > 0.2
+    )
     error = np.abs(t.albedo - checker(xy))[..., 2]
     assert error[t.known > 0.4].max() < 0.05
 
@@ -318,7 +381,9 @@ def test_albedos_outside_the_unit_interval_are_clipped_and_counted(front):
 
 
 def test_one_channel(front):
-    grey = dataclasses.replace(front, albedo=front.albedo[..., :1], irradiance=front.irradiance[..., :1], constant=front.constant[:1])
+    grey = dataclasses.replace(
+        front, albedo=front.albedo[..., :1], irradiance=front.irradiance[..., :1], constant=front.constant[:1]
+    )
     assert grey.map().albedo == pytest.approx(front.map().albedo[..., :1], abs=1e-6)
 
 
@@ -335,7 +400,18 @@ def test_many_facets_at_once_and_a_size_limit(tmp_path):
     albedo = 0.2 + 0.6 * np.clip(world, 0, 1) * [1, 0.5, 0.25]
     wanted = [int(f) for f in np.flatnonzero(np.bincount(facet[facet >= 0]) > 50)][::-1]
     assert len(wanted) == 3
-    maps = textures.albedo_maps(surface, camera, facet, facet >= 0, albedo, np.ones_like(albedo), 1e-4, albedo[facet >= 0].mean(axis=0), wanted, most=40)
+    maps = textures.albedo_maps(
+        surface,
+        camera,
+        facet,
+        facet >= 0,
+        albedo,
+        np.ones_like(albedo),
+        1e-4,
+        albedo[facet >= 0].mean(axis=0),
+        wanted,
+        most=40,
+    )
     assert list(maps) == wanted
     for f, t in maps.items():
         assert max(t.known.shape) == 40 and t.facet == f
@@ -347,10 +423,19 @@ def test_many_facets_at_once_and_a_size_limit(tmp_path):
 
 # -- reading
 
+
 def a_texture(nu=5, nv=3, C=3, facet=7):
     rng = np.random.default_rng(nu + 10 * nv)
-    return textures.Texture(facet, rng.random((nu, nv, C), np.float32), rng.random((nu, nv), np.float32), rng.random((nu, nv), np.float32),
-                            np.ones((nu, nv), np.float32), rng.random(C), np.array([[1e6 + 0.1, 2, 3], [1e6 + 2.1, 2, 3], [1e6 + 0.1, 4.5, 3]]), 4)
+    return textures.AlbedoMap(
+        facet,
+        rng.random((nu, nv, C), np.float32),
+        rng.random((nu, nv), np.float32),
+        rng.random((nu, nv), np.float32),
+        np.ones((nu, nv), np.float32),
+        rng.random(C),
+        np.array([[1e6 + 0.1, 2, 3], [1e6 + 2.1, 2, 3], [1e6 + 0.1, 4.5, 3]]),
+        4,
+    )
 
 
 def test_lookup_by_hand(front):
@@ -358,7 +443,9 @@ def test_lookup_by_hand(front):
     at = lambda *uv: s.origin[0] + np.array(uv) * s.size[0] @ s.axes[0]
     t = dataclasses.replace(a_texture(2, 2, 1, facet=0), albedo=np.array([[[0.0], [0.2]], [[0.4], [1.0]]], np.float32))
     value = lambda *uv: textures.lookup(t, s, at(*uv)[None])[0, 0]
-    assert [value(0.25, 0.25), value(0.25, 0.75), value(0.75, 0.25), value(0.75, 0.75)] == pytest.approx([0, 0.2, 0.4, 1.0], abs=1e-6)
+    assert [value(0.25, 0.25), value(0.25, 0.75), value(0.75, 0.25), value(0.75, 0.75)] == pytest.approx(
+        [0, 0.2, 0.4, 1.0], abs=1e-6
+    )
     assert value(0.5, 0.5) == pytest.approx(0.4) and value(0.5, 0.25) == pytest.approx(0.2)
     assert [value(-3, 0), value(0, 9), value(1.0, 1.0)] == pytest.approx([0, 0.2, 1.0], abs=1e-6)
     assert np.isfinite(textures.lookup(t, s, [[np.nan, 0, 0], [np.inf, 0, 0]])).all()
@@ -374,19 +461,27 @@ def test_mean_of_a_triangle(tmp_path):
     xy = on_floor(camera, camera.pixels())
     inside = (xy > 0).all(axis=-1) & (xy.sum(axis=-1) < 1)
     albedo = np.where(inside, 0.1 + 0.5 * xy[..., 0], 0.0)[..., None]
-    t = textures.albedo_maps(surface, camera, np.where(inside, 0, -1), inside, albedo, np.ones_like(albedo), 1e-4, [0.27], [0])[0]
+    t = textures.albedo_maps(
+        surface, camera, np.where(inside, 0, -1), inside, albedo, np.ones_like(albedo), 1e-4, [0.27], [0]
+    )[0]
     assert textures.mean(t) == pytest.approx(0.1 + 0.5 / 3, abs=2e-3)
-    assert t.inside.mean() * np.prod(surface.size[0]) * surface.local.diagonal ** 2 == pytest.approx(0.5, rel=2e-3)
+    assert t.inside.mean() * np.prod(surface.size[0]) * surface.local.diagonal**2 == pytest.approx(0.5, rel=2e-3)
 
 
 # -- files
+
 
 @pytest.mark.parametrize("shape", [(5, 3, 3), (5, 3, 1), (1, 1, 3), (64, 200, 1)])
 def test_round_trip(tmp_path, shape):
     t = a_texture(*shape)
     path = textures.write(tmp_path / "new", t)
     assert path == str(tmp_path / "new" / "texture-7.exr")
-    assert sorted(p.name for p in (tmp_path / "new").iterdir()) == ["texture-7.exr", "texture-7.json", "texture-7.known.exr", "texture-7.png"]
+    assert sorted(p.name for p in (tmp_path / "new").iterdir()) == [
+        "texture-7.exr",
+        "texture-7.json",
+        "texture-7.known.exr",
+        "texture-7.png",
+    ]
     back = textures.read(path)
     for field in dataclasses.fields(t):
         assert np.array_equal(getattr(back, field.name), getattr(t, field.name)), field.name
@@ -402,19 +497,33 @@ def test_found_again_after_writing(front, tmp_path):
 
 def test_the_picture_shows_the_panel_as_its_front_is_seen(front, tmp_path):
     """Corners of the picture and of the JSON beside it are those of the model: the albedo there is that of the pattern."""
-    slope = dataclasses.replace(front, albedo=np.stack([0.1 + 0.4 * on_floor(front.camera, front.camera.pixels())[..., 0],
-                                                        0.1 + 0.4 * on_floor(front.camera, front.camera.pixels())[..., 1], np.full((128, 128), 0.5)], axis=-1))
+    slope = dataclasses.replace(
+        front,
+        albedo=np.stack(
+            [
+                0.1 + 0.4 * on_floor(front.camera, front.camera.pixels())[..., 0],
+                0.1 + 0.4 * on_floor(front.camera, front.camera.pixels())[..., 1],
+                np.full((128, 128), 0.5),
+            ],
+            axis=-1,
+        ),
+    )
     path = textures.write(tmp_path, slope.map())
     picture = image.read_exr(path)
     shown = image.read_photograph(path.replace(".exr", ".png")).values
     place = json.loads((tmp_path / "texture-0.json").read_text())
     corner = {name: np.array(p) for name, p in place["corners"].items()}
     assert place["unit"] == "m" and picture.shape == (place["height"], place["width"], 3)
-    for name, texel in (("top_left", (0, 0)), ("top_right", (0, -1)), ("bottom_left", (-1, 0)), ("bottom_right", (-1, -1))):
+    for name, texel in (
+        ("top_left", (0, 0)),
+        ("top_right", (0, -1)),
+        ("bottom_left", (-1, 0)),
+        ("bottom_right", (-1, -1)),
+    ):
         assert picture[texel][:2] == pytest.approx(0.1 + 0.4 * corner[name][:2], abs=0.01)
         assert shown[texel][0] == pytest.approx(1.055 * picture[texel][0] ** (1 / 2.4) - 0.055, abs=0.003)
     right, up = corner["bottom_right"] - corner["bottom_left"], corner["top_left"] - corner["bottom_left"]
-    assert np.cross(right, up)[2] > 0                            # towards us, as the panel's normal
+    assert np.cross(right, up)[2] > 0  # towards us, as the panel's normal
 
 
 def test_a_file_is_whole_or_absent(tmp_path):
@@ -430,7 +539,12 @@ def test_damaged_files_are_refused(tmp_path):
     good = (tmp_path / "texture-7.json").read_text()
     with pytest.raises(BadInput, match="no such file"):
         textures.read(tmp_path / "texture-8.exr")
-    for bad in (good.replace('"facet": 7', '"facet": null'), good.replace('"top_left"', '"top"'), good.replace('"width": 5', '"width": 6'), "{"):
+    for bad in (
+        good.replace('"facet": 7', '"facet": null'),
+        good.replace('"top_left"', '"top"'),
+        good.replace('"width": 5', '"width": 6'),
+        "{",
+    ):
         assert bad != good
         (tmp_path / "texture-7.json").write_text(bad)
         with pytest.raises(BadInput, match="texture-7"):

@@ -1,10 +1,17 @@
 """The comparison of the vision half, against errors that were put in by hand."""
+
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lib import cameras, index_buffer, model as models, vision_errors
+from lib.buffers import index_buffer
+from lib.given import cameras
+from lib.given import model as models
+from lib.verdict import vision_errors
+from lib.verdict.answers import Answers
+from lib.verdict.records import Facet, Plane, Pose
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -30,19 +37,32 @@ def test_a_camera_turned_and_moved(office):
     model, camera, buffer = office
     turn = cameras.matrix_from_rt([0, np.radians(0.1), 0, 0, 0, 0])
     T = turn @ camera.T_cam_world
-    assert values(vision_errors.pose(T, camera.T_cam_world)) == pytest.approx({"pose.angle_deg": 0.1, "pose.centre_mm": 0}, abs=1e-9)
+    assert values(vision_errors.pose(T, camera.T_cam_world)) == pytest.approx(
+        {"pose.angle_deg": 0.1, "pose.centre_mm": 0}, abs=1e-9
+    )
     moved = camera.T_cam_world.copy()
     moved[:3, 3] += [0.003, 0, 0.004]
-    assert values(vision_errors.pose(moved, camera.T_cam_world)) == pytest.approx({"pose.angle_deg": 0, "pose.centre_mm": 5}, abs=1e-9)
+    assert values(vision_errors.pose(moved, camera.T_cam_world)) == pytest.approx(
+        {"pose.angle_deg": 0, "pose.centre_mm": 5}, abs=1e-9
+    )
 
     sigma = np.array([1, 1, 1, 2, 2, 4.0]) * 1e-3
-    assert values(vision_errors.pose(moved, camera.T_cam_world, np.diag(sigma ** 2)))["pose.in_sigmas"] == pytest.approx(np.sqrt(((3 / 2) ** 2 + 1) / 6))
+    assert values(vision_errors.pose(moved, camera.T_cam_world, np.diag(sigma**2)))["pose.in_sigmas"] == pytest.approx(
+        np.sqrt(((3 / 2) ** 2 + 1) / 6)
+    )
 
     def project(p):
         return (p / p[:, 2:]) @ camera.K.T[:, :2]
-    found = values(vision_errors.vertices(project, project, T, camera.T_cam_world, model, buffer.depth, (camera.width, camera.height)))
+
+    found = values(
+        vision_errors.vertices(
+            project, project, T, camera.T_cam_world, model, buffer.depth, (camera.width, camera.height)
+        )
+    )
     f = camera.K[0, 0]
-    assert 0.9 * f * np.radians(0.1) < found["pose.vertices_px"] < 1.5 * f * np.radians(0.1)       # f tan of the turn, more towards the edges
+    assert (
+        0.9 * f * np.radians(0.1) < found["pose.vertices_px"] < 1.5 * f * np.radians(0.1)
+    )  # f tan of the turn, more towards the edges
     assert 8 <= found["pose.vertices"] < len(model.vertices)
     everything = values(vision_errors.vertices(project, project, T, T, model, None, (camera.width, camera.height)))
     assert everything["pose.vertices"] > found["pose.vertices"] and everything["pose.vertices_max_px"] == 0
@@ -54,12 +74,22 @@ def test_two_lenses(office):
     longer[:2, 2] = camera.K[:2, 2]
 
     def of(K):
-        return lambda q: np.column_stack([(q - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(len(q))]), lambda p: (p / p[:, 2:]) @ K.T[:, :2]
+        return lambda q: np.column_stack(
+            [(q - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(len(q))]
+        ), lambda p: (p / p[:, 2:]) @ K.T[:, :2]
+
     (unproject, _), (unproject_longer, _) = of(camera.K), of(longer)
-    assert values(vision_errors.lens(unproject, of(camera.K)[1], unproject, (640, 480), "left"))["lens.left.projection_px"] < 1e-9
-    error = values(vision_errors.lens(unproject_longer, of(camera.K)[1], unproject, (640, 480), "left"))["lens.left.projection_px"]
+    assert (
+        values(vision_errors.lens(unproject, of(camera.K)[1], unproject, (640, 480), "left"))["lens.left.projection_px"]
+        < 1e-9
+    )
+    error = values(vision_errors.lens(unproject_longer, of(camera.K)[1], unproject, (640, 480), "left"))[
+        "lens.left.projection_px"
+    ]
     x, y = np.meshgrid(np.linspace(0, 639, 21) - camera.K[0, 2], np.linspace(0, 479, 16) - camera.K[1, 2])
-    assert error == pytest.approx(0.01 / 1.01 * np.sqrt((x ** 2 + y ** 2).mean()), rel=0.1)       # a longer lens: each pixel 1 % further out
+    assert error == pytest.approx(
+        0.01 / 1.01 * np.sqrt((x**2 + y**2).mean()), rel=0.1
+    )  # a longer lens: each pixel 1 % further out
 
 
 def test_true_planes_have_no_error_and_moved_ones_the_error_of_the_move(office):
@@ -73,13 +103,22 @@ def test_true_planes_have_no_error_and_moved_ones_the_error_of_the_move(office):
             n, d = -n, -d
         v = camera.directions(np.column_stack([x, y]))
         p = v / (v @ (n / d))[:, None]
-        facets.append({"left_label": label, "plane": {"n": n, "d": d}, "polygon": p[:: max(1, len(p) // 5)], "covariance": np.eye(3) * 1e-12})
+        facets.append(Facet(label, Plane(n, d), p[:: max(1, len(p) // 5)], covariance=np.eye(3) * 1e-12))
     assert len(facets) >= 2
     found = values(vision_errors.planes(facets, T, model, buffer.facet, buffer.facet))
-    assert found["facets.angle_deg"] < 1e-6 and found["facets.distance_relative"] < 1e-12 and found["facets.wrong"] == 0 and found["facets.within_95"] == 1
-    further = [{**f, "plane": {"n": f["plane"]["n"], "d": f["plane"]["d"] * 1.1}} for f in facets]
+    assert (
+        found["facets.angle_deg"] < 1e-6
+        and found["facets.distance_relative"] < 1e-12
+        and found["facets.wrong"] == 0
+        and found["facets.within_95"] == 1
+    )
+    further = [replace(f, plane=Plane(f.plane.n, f.plane.d * 1.1)) for f in facets]
     found = values(vision_errors.planes(further, T, model, buffer.facet, buffer.facet))
-    assert found["facets.distance_relative"] == pytest.approx(0.1, rel=1e-6) and found["facets.wrong"] == 1 and found["facets.within_95"] == 0
+    assert (
+        found["facets.distance_relative"] == pytest.approx(0.1, rel=1e-6)
+        and found["facets.wrong"] == 1
+        and found["facets.within_95"] == 0
+    )
 
 
 def test_the_disparity_of_a_frontal_plane():
@@ -89,8 +128,21 @@ def test_the_disparity_of_a_frontal_plane():
     right = cameras.Camera(K, 100, 80, cameras.matrix_from_rt([0, 0, 0, -0.1, 0, 0]))
     regions = np.zeros((80, 100), int)
     regions[:, :50] = 3
-    facet = {"left_label": 3, "plane": {"n": [0, 0, -1.0], "d": -2.0}}
+    facet = Facet(3, Plane((0, 0, -1.0), -2.0))
     true = np.full((80, 100), 25.5)
     true[0] = np.nan
     found = values(vision_errors.disparity([facet], left, right, regions, true))
     assert found == pytest.approx({"disparity.median_px": 0.5, "disparity.bad_1px": 0, "disparity.covered": 0.5})
+
+
+def test_what_is_missing_is_left_out(office):
+    """Only what both sides have is compared: a pose without a model has no vertices, without truth there is nothing."""
+    model, camera, buffer = office
+    rt = tuple(cameras.rt_from_matrix(camera.T_cam_world))
+    found, true = Answers(pose=Pose(rt)), Answers(posed=camera)
+    names = [name for _, name, _, _ in vision_errors.against_truth(found, true)]
+    assert names == ["pose.angle_deg", "pose.centre_mm"]
+    found = replace(found, model=model, posed=camera, depth=buffer.depth)
+    errors = {name: value for _, name, value, _ in vision_errors.against_truth(found, true)}
+    assert errors["pose.vertices_max_px"] < 1e-9 and errors["pose.vertices"] > 8
+    assert vision_errors.against_truth(found, Answers()) == [] == vision_errors.against_truth(Answers(), true)

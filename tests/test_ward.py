@@ -1,12 +1,13 @@
 """Ward's BRDF: by hand and by peers (Radiance, published albedos), by law (reciprocity, energy, sampling), by difference, at the edge."""
+
 import csv
 
 import numpy as np
 import pytest
 from numba import njit
 
-from lib import ward
-from lib.ward import BOUNDED, DUER, WARD
+from lib.light import ward
+from lib.light import ward_kernels as kernels
 
 ALPHAS = [(0.3, 0.3), (0.6, 0.2), (0.05, 0.15), (0.1, 0.01)]
 EYES = [(0, 0), (45, 20), (75, 200), (89, 110)]
@@ -15,7 +16,9 @@ EYES = [(0, 0), (45, 20), (75, 200), (89, 110)]
 def direction(theta, phi):
     """Degrees -> (..., 3)"""
     theta, phi = np.radians(theta), np.radians(phi)
-    return np.stack(np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), axis=-1)
+    return np.stack(
+        np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), axis=-1
+    )
 
 
 def sphere(n, seed, upper=True):
@@ -28,9 +31,18 @@ def sphere(n, seed, upper=True):
 
 # -- by hand, by peers
 
-@pytest.mark.parametrize("alpha,form,table", [
-    (0.05, WARD, (0.993, 0.702, 0.259, 0.052)), (0.05, DUER, (0.995, 0.995, 0.995, 1.373)), (0.05, BOUNDED, (0.998, 0.996, 0.979, 0.825)),
-    (0.30, WARD, (0.794, 0.571, 0.280, 0.360)), (0.30, DUER, (0.856, 0.846, 0.838, 4.295)), (0.30, BOUNDED, (0.910, 0.864, 0.778, 0.917))])
+
+@pytest.mark.parametrize(
+    "alpha,form,table",
+    [
+        (0.05, kernels.WARD, (0.993, 0.702, 0.259, 0.052)),
+        (0.05, kernels.DUER, (0.995, 0.995, 0.995, 1.373)),
+        (0.05, kernels.BOUNDED, (0.998, 0.996, 0.979, 0.825)),
+        (0.30, kernels.WARD, (0.794, 0.571, 0.280, 0.360)),
+        (0.30, kernels.DUER, (0.856, 0.846, 0.838, 4.295)),
+        (0.30, kernels.BOUNDED, (0.910, 0.864, 0.778, 0.917)),
+    ],
+)
 def test_albedos_of_the_design(alpha, form, table):
     """DESIGN 3, at 0, 45, 75 and 89 degrees, as printed (one of them, 1 - 0.05^2 = .9975, lies between two)."""
     assert ward.albedo(form, alpha, alpha, np.radians([0, 45, 75, 89])) == pytest.approx(table, abs=5.01e-4)
@@ -39,9 +51,9 @@ def test_albedos_of_the_design(alpha, form, table):
 def test_albedo_along_the_normal():
     """The bounded weight 2 cos_i / (1 + cos_i) is 1 - tan^2 h there, and tan^2 h = alpha^2 t with t of density exp(-t), up to 1 / alpha^2."""
     for alpha in (0.05, 0.3, 0.6):
-        end = 1 / alpha ** 2
-        exact = (1 - np.exp(-end)) - alpha ** 2 * (1 - (1 + end) * np.exp(-end))
-        assert ward.albedo(BOUNDED, alpha, alpha, 0.0) == pytest.approx(exact, abs=1e-8)
+        end = 1 / alpha**2
+        exact = (1 - np.exp(-end)) - alpha**2 * (1 - (1 + end) * np.exp(-end))
+        assert ward.albedo(kernels.BOUNDED, alpha, alpha, 0.0) == pytest.approx(exact, abs=1e-8)
 
 
 def test_radiance(root):
@@ -53,10 +65,10 @@ def test_radiance(root):
     for row in rows:
         rho, alpha, theta_i, theta_o, dphi, radiance, of_1992, bounded = (float(x) for x in list(row.values())[1:])
         i, o = direction(theta_i, 0), direction(theta_o, dphi)
-        f = rho * ward.values(BOUNDED, alpha, alpha, i, o)
+        f = rho * ward.values(kernels.BOUNDED, alpha, alpha, i, o)
         assert f == pytest.approx(bounded, rel=5e-6)
-        assert rho * ward.values(WARD, alpha, alpha, i, o) == pytest.approx(of_1992, rel=5e-6)
-        if radiance:                                      # five lie below what rtrace traces
+        assert rho * ward.values(kernels.WARD, alpha, alpha, i, o) == pytest.approx(of_1992, rel=5e-6)
+        if radiance:  # five lie below what rtrace traces
             h = i + o
             e = (h[0] ** 2 + h[1] ** 2) / (h[2] * alpha) ** 2
             assert f == pytest.approx(radiance, rel=max(1e-5, 4.2e-6 * e))
@@ -68,10 +80,11 @@ def test_the_lobe_follows_the_tangent():
     """A long alpha along x spreads the light along x."""
     along, across = direction(30, 0), direction(30, 90)
     up = direction(0, 0)
-    assert ward.values(BOUNDED, 0.5, 0.1, along, up) > 100 * ward.values(BOUNDED, 0.5, 0.1, across, up)
+    assert ward.values(kernels.BOUNDED, 0.5, 0.1, along, up) > 100 * ward.values(kernels.BOUNDED, 0.5, 0.1, across, up)
 
 
 # -- by law
+
 
 @pytest.mark.parametrize("form", range(3))
 def test_reciprocity(form):
@@ -81,10 +94,16 @@ def test_reciprocity(form):
 
 
 def test_the_bounded_form_never_gains_energy():
-    worst = max(ward.albedo(BOUNDED, ax, ax * ratio, np.radians([0, 20, 40, 60, 75, 85, 88, 89, 89.9, 89.99]), phi).max()
-                for ax in (0.01, 0.03, 0.1, 0.2, 0.3, 0.45, 0.6) for ratio in (1, 0.2) for phi in (0, 0.8, np.pi / 2))
+    worst = max(
+        ward.albedo(
+            kernels.BOUNDED, ax, ax * ratio, np.radians([0, 20, 40, 60, 75, 85, 88, 89, 89.9, 89.99]), phi
+        ).max()
+        for ax in (0.01, 0.03, 0.1, 0.2, 0.3, 0.45, 0.6)
+        for ratio in (1, 0.2)
+        for phi in (0, 0.8, np.pi / 2)
+    )
     assert 0.99 < worst <= 1
-    assert ward.albedo(DUER, 0.3, 0.3, np.radians(89)) > 4
+    assert ward.albedo(kernels.DUER, 0.3, 0.3, np.radians(89)) > 4
 
 
 @pytest.mark.parametrize("theta,phi", EYES)
@@ -99,7 +118,7 @@ def test_the_density_is_that_of_the_samples(ax, ay, theta, phi):
     # cells in the deviates (r cos, r sin) that i's half vector came from: fine where the lobe is
     cells, fine, reach = 8, 24, 3.0
     h = i + o
-    above = i[:, 2] > ward.HORIZON
+    above = i[:, 2] > kernels.HORIZON
     p, q = (h[:, d] / np.where(above, h[:, 2], 1) / a for d, a in ((0, ax), (1, ay)))
     edges = np.linspace(-reach, reach, cells + 1)
     found = np.histogram2d(p[above], q[above], [edges, edges])[0]
@@ -110,9 +129,13 @@ def test_the_density_is_that_of_the_samples(ax, ay, theta, phi):
     dot = (o[0] * p + o[1] * q + o[2]) / np.sqrt(squared)
     m = np.stack([p, q, np.ones_like(p)], axis=1) / np.sqrt(squared)[:, None]
     mirrored = 2 * dot[:, None] * m - o
-    density = ward.pdfs(ax, ay, mirrored, o) * 4 * abs(dot) * squared ** -1.5 * ax * ay * (mirrored[:, 2] > ward.HORIZON)
+    density = (
+        ward.pdfs(ax, ay, mirrored, o) * 4 * abs(dot) * squared**-1.5 * ax * ay * (mirrored[:, 2] > kernels.HORIZON)
+    )
     expected = n * (density * (2 * reach / (cells * fine)) ** 2).reshape(cells, fine, cells, fine).sum(axis=(1, 3))
-    whole = ((mirrored[:, 2] > ward.HORIZON).reshape(cells, fine, cells, fine).all(axis=(1, 3))) & (expected > 20)      # the horizon cuts the others
+    whole = ((mirrored[:, 2] > kernels.HORIZON).reshape(cells, fine, cells, fine).all(axis=(1, 3))) & (
+        expected > 20
+    )  # the horizon cuts the others
     chi2 = ((found - expected)[whole] ** 2 / expected[whole]).sum()
     assert whole.sum() > 10 and abs(chi2 - whole.sum()) < 5 * np.sqrt(2 * whole.sum())
 
@@ -125,7 +148,7 @@ def test_the_density_is_one_over_the_sphere():
     z, azimuth = (x.ravel() for x in np.meshgrid(z, azimuth, indexing="ij"))
     i = np.stack([np.sqrt(1 - z * z) * np.cos(azimuth), np.sqrt(1 - z * z) * np.sin(azimuth), z], axis=1)
     for ax, ay, theta, tolerance in ((0.3, 0.3, 0, 1e-4), (0.3, 0.15, 40, 1e-4), (0.6, 0.3, 60, 2e-2)):
-        assert ward.pdfs(ax, ay, i, direction(theta, 30)).sum() * 4 * np.pi / n ** 2 == pytest.approx(1, abs=tolerance)
+        assert ward.pdfs(ax, ay, i, direction(theta, 30)).sum() * 4 * np.pi / n**2 == pytest.approx(1, abs=tolerance)
 
 
 @pytest.mark.parametrize("form", range(3))
@@ -139,12 +162,14 @@ def test_weights(form, ax, ay):
         i = ward.samples(ax, ay, o, u, v)
         w = ward.weights(form, ax, ay, i, o)
         density = ward.pdfs(ax, ay, i, o)
-        some = (density > 0) & (i[:, 2] > ward.HORIZON)
-        np.testing.assert_allclose(w[some], (ward.values(form, ax, ay, i, o) * i[:, 2])[some] / density[some], rtol=1e-9)
+        some = (density > 0) & (i[:, 2] > kernels.HORIZON)
+        np.testing.assert_allclose(
+            w[some], (ward.values(form, ax, ay, i, o) * i[:, 2])[some] / density[some], rtol=1e-9
+        )
         assert (w[~some & (i[:, 2] <= 0)] == 0).all()
         albedo = ward.albedo(form, ax, ay, np.radians(theta), np.radians(phi))
         assert w.mean() == pytest.approx(albedo, rel=4e-3)
-        if form == BOUNDED:
+        if form == kernels.BOUNDED:
             assert w.max() <= 2
 
 
@@ -157,7 +182,9 @@ def test_albedo_is_the_integral_over_directions():
     for form in range(3):
         for theta, phi in ((0, 0), (50, 30), (75, 100)):
             f = ward.values(form, 0.4, 0.2, i, direction(theta, phi))
-            assert ward.albedo(form, 0.4, 0.2, np.radians(theta), np.radians(phi)) == pytest.approx((f * z).mean() * 2 * np.pi, abs=1e-4)
+            assert ward.albedo(form, 0.4, 0.2, np.radians(theta), np.radians(phi)) == pytest.approx(
+                (f * z).mean() * 2 * np.pi, abs=1e-4
+            )
 
 
 def test_turning_everything_turns_nothing():
@@ -165,12 +192,17 @@ def test_turning_everything_turns_nothing():
     i, o = sphere(200, 4), sphere(200, 5)
     c, s = np.cos(0.7), np.sin(0.7)
     back = lambda w: np.stack([c * w[:, 0] + s * w[:, 1], c * w[:, 1] - s * w[:, 0], w[:, 2]], axis=1)
-    assert ward.values(BOUNDED, 0.3, 0.3, back(i), back(o)) == pytest.approx(ward.values(BOUNDED, 0.3, 0.3, i, o), rel=1e-9)
+    assert ward.values(kernels.BOUNDED, 0.3, 0.3, back(i), back(o)) == pytest.approx(
+        ward.values(kernels.BOUNDED, 0.3, 0.3, i, o), rel=1e-9
+    )
     half = np.array([-1, -1, 1])
-    assert ward.values(BOUNDED, 0.4, 0.1, i * half, o * half) == pytest.approx(ward.values(BOUNDED, 0.4, 0.1, i, o), rel=1e-12)
+    assert ward.values(kernels.BOUNDED, 0.4, 0.1, i * half, o * half) == pytest.approx(
+        ward.values(kernels.BOUNDED, 0.4, 0.1, i, o), rel=1e-12
+    )
 
 
 # -- by difference
+
 
 @pytest.mark.parametrize("form", range(3))
 @pytest.mark.parametrize("step", [1e-4, 1e-5])
@@ -184,11 +216,21 @@ def test_derivatives(form, step):
 
         def log_f(a, b, phi=0.0):
             c, s = np.cos(phi), np.sin(phi)
-            turned = [np.stack([c * w[:, 0] + s * w[:, 1], c * w[:, 1] - s * w[:, 0], w[:, 2]], axis=1) for w in (i, eye)]
+            turned = [
+                np.stack([c * w[:, 0] + s * w[:, 1], c * w[:, 1] - s * w[:, 0], w[:, 2]], axis=1) for w in (i, eye)
+            ]
             return np.log(ward.values(form, a, b, *turned))
+
         exact = ward.d_log_values(form, ax, ay, i, eye)
         h = step * min(ax, ay)
-        numeric = np.stack([(log_f(ax + h, ay) - log_f(ax - h, ay)), (log_f(ax, ay + h) - log_f(ax, ay - h)), (log_f(ax, ay, h) - log_f(ax, ay, -h))], axis=1) / (2 * h)
+        numeric = np.stack(
+            [
+                (log_f(ax + h, ay) - log_f(ax - h, ay)),
+                (log_f(ax, ay + h) - log_f(ax, ay - h)),
+                (log_f(ax, ay, h) - log_f(ax, ay, -h)),
+            ],
+            axis=1,
+        ) / (2 * h)
         assert numeric == pytest.approx(exact, rel=1e-5, abs=1e-4 / min(ax, ay))
 
 
@@ -198,17 +240,18 @@ def test_frames():
         n, t = rng.normal(size=(2, 3))
         n /= np.linalg.norm(n)
         for tangent in (t, 1e-200 * t, 1e200 * t):
-            x, y = ward.frame(n, tangent)
+            x, y = kernels.frame(n, tangent)
             assert np.array([x, y, n]) @ np.array([x, y, n]).T == pytest.approx(np.eye(3), abs=1e-12)
             assert np.cross(x, y) == pytest.approx(n, abs=1e-12)
             assert np.dot(x, t) > 0 and np.dot(y, t) == pytest.approx(0, abs=1e-12)
     for n in np.vstack([np.eye(3), -np.eye(3), direction(30, 40)[None]]):
         for tangent in (np.zeros(3), n, -5 * n, n + 1e-9, np.full(3, np.nan), np.array([np.inf, 0, 0])):
-            x, y = ward.frame(n, tangent)
+            x, y = kernels.frame(n, tangent)
             assert np.array([x, y, n]) @ np.array([x, y, n]).T == pytest.approx(np.eye(3), abs=1e-9)
 
 
 # -- at the edge
+
 
 @pytest.mark.parametrize("form", range(3))
 def test_everything_is_finite(form):
@@ -220,7 +263,15 @@ def test_everything_is_finite(form):
     for ax in (1e-3, 0.03, 1.0):
         for ay in (1e-3, 0.03, 1.0):
             f, w, d = (kernel(form, ax, ay, i, o) for kernel in (ward.values, ward.weights, ward.d_log_values))
-            for x in (f, w, d, ward.pdfs(ax, ay, i, o), ward.pdfs(ax, ay, -o, o), ward.values(form, ax, ay, o, o), ward.values(form, ax, ay, -o, o)):
+            for x in (
+                f,
+                w,
+                d,
+                ward.pdfs(ax, ay, i, o),
+                ward.pdfs(ax, ay, -o, o),
+                ward.values(form, ax, ay, o, o),
+                ward.values(form, ax, ay, -o, o),
+            ):
                 assert np.isfinite(x).all()
             assert (f >= 0).all() and (f[below] == 0).all() and (w[below] == 0).all()
             for eye in some:
@@ -228,16 +279,19 @@ def test_everything_is_finite(form):
             assert np.isfinite(ward.albedo(form, ax, ay, np.radians([0, 89.9, 90 - 1e-6, 90, 100]))).all()
 
 
-@pytest.mark.parametrize("form,exact", [(BOUNDED, lambda c: 1 / c ** 2), (WARD, lambda c: 1 / c), (DUER, lambda c: 1 / c ** 2)])
+@pytest.mark.parametrize(
+    "form,exact",
+    [(kernels.BOUNDED, lambda c: 1 / c**2), (kernels.WARD, lambda c: 1 / c), (kernels.DUER, lambda c: 1 / c**2)],
+)
 def test_in_the_mirror_and_straight_back(form, exact):
     """In the mirror's direction e = 0; straight back h = 2 o and tan h is that of o."""
     for alpha in (0.001, 0.1, 1.0):
         for theta in (0.0, 60, 89.99):
             o = direction(theta, 20)
             c = np.cos(np.radians(theta))
-            peak = exact(c) / (4 * np.pi * alpha ** 2)
+            peak = exact(c) / (4 * np.pi * alpha**2)
             assert ward.values(form, alpha, alpha, o * [-1, -1, 1], o) == pytest.approx(peak, rel=1e-9)
-            back = peak * np.exp(-(np.tan(np.radians(theta)) / alpha) ** 2) / (c ** 2 if form == BOUNDED else 1)
+            back = peak * np.exp(-((np.tan(np.radians(theta)) / alpha) ** 2)) / (c**2 if form == kernels.BOUNDED else 1)
             assert ward.values(form, alpha, alpha, o, o) == pytest.approx(back, rel=1e-6, abs=1e-200)
 
 
@@ -245,17 +299,26 @@ def test_a_narrow_lobe_is_a_mirror():
     o = direction(50, 10)
     i = ward.samples(1e-3, 1e-3, o, [0.1, 0.5, 0.9], [0.1, 0.4, 0.7])
     assert i == pytest.approx(np.broadcast_to(o * [-1, -1, 1], (3, 3)), abs=0.01)
-    assert ward.weights(BOUNDED, 1e-3, 1e-3, i, o) == pytest.approx(1, abs=0.01)
-    assert ward.albedo(BOUNDED, 1e-3, 1e-3, np.radians(50)) == pytest.approx(1, abs=1e-4)
+    assert ward.weights(kernels.BOUNDED, 1e-3, 1e-3, i, o) == pytest.approx(1, abs=0.01)
+    assert ward.albedo(kernels.BOUNDED, 1e-3, 1e-3, np.radians(50)) == pytest.approx(1, abs=1e-4)
 
 
 def test_kernels_are_for_kernels():
     @njit
     def kernel(form, n):
-        x, y = ward.frame(n, np.array([1.0, 0.0, 0.0]))
-        i = ward.sample(0.2, 0.1, 0.0, 0.6, 0.8, 0.3, 0.7)
-        d = ward.d_log_value(form, 0.2, 0.1, i[0], i[1], i[2], 0.0, 0.6, 0.8)
-        return (ward.value(form, 0.2, 0.1, i[0], i[1], i[2], 0.0, 0.6, 0.8) * i[2] / ward.pdf(0.2, 0.1, i[0], i[1], i[2], 0.0, 0.6, 0.8)
-                - ward.weight(form, 0.2, 0.1, i[0], i[1], i[2], 0.0, 0.6, 0.8)), x[0] + y[1], d[0]
-    difference, two, _ = kernel(ward.BOUNDED, np.array([0.0, 0.0, 1.0]))
+        x, y = kernels.frame(n, np.array([1.0, 0.0, 0.0]))
+        i = kernels.sample(0.2, 0.1, 0.0, 0.6, 0.8, 0.3, 0.7)
+        d = kernels.d_log_value(form, 0.2, 0.1, i[0], i[1], i[2], 0.0, 0.6, 0.8)
+        return (
+            (
+                kernels.value(form, 0.2, 0.1, i[0], i[1], i[2], 0.0, 0.6, 0.8)
+                * i[2]
+                / kernels.pdf(0.2, 0.1, i[0], i[1], i[2], 0.0, 0.6, 0.8)
+                - kernels.weight(form, 0.2, 0.1, i[0], i[1], i[2], 0.0, 0.6, 0.8)
+            ),
+            x[0] + y[1],
+            d[0],
+        )
+
+    difference, two, _ = kernel(kernels.BOUNDED, np.array([0.0, 0.0, 1.0]))
     assert abs(difference) < 1e-12 and two == 2

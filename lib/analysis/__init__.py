@@ -1,0 +1,1 @@
+"""§4 From the photograph to reflectances: the inverse problem, its solution, the reflectance ladder."""

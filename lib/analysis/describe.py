@@ -1,0 +1,185 @@
+"""From the solution of the inverse problem to materials.json (SCENE.md 4), and to warnings in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lib.analysis.climbing import SPECULAR, Climb, Place
+from lib.analysis.equations import GAMMA_RANGE
+from lib.analysis.gather import Gathered
+from lib.analysis.problem import MISFIT, Problem, Result, group_rmse
+from lib.given.materials import Fit, FoundTransfer, Group, Lamp, Materials, Rung, Sigma
+
+if TYPE_CHECKING:
+    from lib.analysis.textures import Textured
+
+NONE = (0.0, 0.0, 0.0)
+
+
+def describe(
+    problem: Problem,
+    result: Result,
+    found: Gathered,
+    *,
+    scale,
+    transfer,
+    climb: Climb | None = None,
+    textures: dict[int, Textured] | None = None,
+) -> Materials:
+    """What materials.json says. One-channel results stand three times.
+
+    transfer : as scene.yaml has it, or None;  climb : where a group is not diffuse;  textures : by group
+    """
+    errors = group_rmse(problem, result.tile_residual)
+    specular = () if climb is None or climb.finish is None else climb.finish.groups
+    groups = {}
+    for g, name in enumerate(problem.groups):
+        if name in problem.lamps:
+            continue
+        group = _diffuse(problem, result, g, g in specular, errors[g], int(found.visible[g]))
+        if climb is not None:
+            group = _of_rung(group, climb, g, (textures or {}).get(g))
+        groups[name] = group
+    nothing = len(problem.tile_group) == 0
+    status = "nothing seen" if nothing else "converged" if result.converged else "not converged"
+    rmse = None if nothing or not np.isfinite(result.rmse) else float(result.rmse)
+    lamps = {name: _lamp(problem, result, k, scale) for k, name in enumerate(problem.lamps)}
+    return Materials(
+        status, groups, lamps, _transfer(problem, result, transfer), scale, Fit(rmse, int(result.iterations))
+    )
+
+
+def _three(values):
+    return tuple(float(v) for v in np.broadcast_to(values, 3))
+
+
+def _diffuse(problem, result, g, is_specular, error, visible) -> Group:
+    """The group as a diffuse one. is_specular : a mirror or a lobe shows it, if no tile does"""
+    seen = bool(problem.seen_groups[g]) or is_specular
+    known = g in problem.known_groups and not is_specular
+    identified = known or seen
+    reached = bool((problem.patch_group == g).any())
+    rho = result.state.rho[g]
+    sigma = None if result.sigma_rho is None or not identified else _three(result.sigma_rho[g])
+    return Group(
+        kind="diffuse",
+        rho_d=_three(rho) if identified else None,
+        rho_s=NONE if identified else None,
+        assumed=_three(np.clip(rho, 0, 1)) if not identified and reached else None,
+        sigma=Sigma(rho_d=sigma),
+        pixels=visible,
+        error=float(error) if seen and np.isfinite(error) else None,
+        identified=identified,
+    )
+
+
+def _of_rung(group: Group, climb: Climb, g, textured: Textured | None) -> Group:
+    """What a group's rung adds to it."""
+    place = climb.places[g]
+    if place.why:
+        group = replace(group, ladder=Rung(place.rung, place.why, place.tried))
+    if g in climb.misfits and place.rung in (*SPECULAR, "textured"):
+        group = replace(group, error=climb.misfits[g].rms)
+    if place.rung == "textured":
+        group = replace(group, kind="textured")
+        return replace(group, texture=textured.files, rho_d=_three(textured.mean)) if textured else group
+    if climb.finish is None or g not in climb.finish.groups:
+        return group
+    return _specular(group, climb, g, climb.finish.groups.index(g), place)
+
+
+def _specular(group: Group, climb: Climb, g, m, place: Place) -> Group:
+    """A mirror or a glossy group; m : its number among the specular groups"""
+    result, state = climb.result, climb.result.state
+    fitted = np.isnan(climb.problem.specular.rho_s[m]).any()
+    sigma_s = _three(result.sigma_rho_s[m]) if fitted else NONE
+    group = replace(
+        group,
+        kind="glossy" if place.rung == "anisotropic" else place.rung,
+        rho_s=_three(state.rho_s[m]),
+        rho_d=_three(np.minimum(state.rho[g], 1 - state.rho_s[m])),  # no surface gives back more than it gets
+    )
+    if place.is_mirror:  # it has no rho_d by what the word means
+        return replace(group, sigma=Sigma(rho_d=NONE, rho_s=sigma_s))
+    shape = climb.sigma_shape.get(g, {})
+    relative = [shape.get(name, shape.get("alpha", 0.0)) for name in ("alpha_x", "alpha_y")]
+    anisotropic = place.rung == "anisotropic"
+    return replace(
+        group,
+        alpha=tuple(map(float, place.alpha)),
+        tangent=tuple(map(float, place.tangent)) if anisotropic else None,
+        sigma=Sigma(
+            group.sigma.rho_d,
+            sigma_s,
+            tuple(float(a * r) for a, r in zip(place.alpha, relative, strict=True)),
+            shape.get("turn") if anisotropic else None,
+        ),
+    )
+
+
+def _lamp(problem, result, k, scale) -> Lamp:
+    known = not np.isnan(problem.emittance[k]).any()
+    reflects = problem.rho[problem.groups.index(problem.lamps[k])]
+    return Lamp(
+        _three(result.state.E[k]),
+        None if known or result.sigma_E is None or scale == "convention" else _three(result.sigma_E[k]),
+        _three(reflects) if reflects.any() else None,  # a lamp named under `reference`
+    )
+
+
+def _transfer(problem, result, transfer) -> FoundTransfer:
+    kind = transfer if isinstance(transfer, str) else problem.metric.transfer.kind
+    if kind != "gamma":
+        return FoundTransfer(kind)
+    return FoundTransfer(kind, float(result.state.gamma), result.sigma_gamma)
+
+
+# -- in words
+
+
+def warnings(problem: Problem, result: Result, described: Materials, found: Gathered) -> list:
+    """What the user should know of the values, one line each."""
+    lines = [
+        _not_identified(name, group, int(found.visible[problem.groups.index(name)]))
+        for name, group in described.groups.items()
+        if not group.identified
+    ]
+    if result.misfit > MISFIT:
+        lines.append(
+            f"the re-rendering differs from the photograph by {result.rmse:.3f} (display), {result.misfit:.0f} times"
+            " what noise explains: a lamp, the model, the pose or the transfer function is not as given;"
+            " every sigma is widened by as much"
+        )
+    gamma = result.state.gamma
+    if problem.fit_gamma and not len(problem.tile_group):
+        lines.append(f"gamma is not determined by any pixel: {gamma} is only where the search would have started")
+    if problem.fit_gamma and not GAMMA_RANGE[0] + 0.01 < gamma < GAMMA_RANGE[1] - 0.1:
+        lines.append(
+            f"gamma = {gamma:.2f} lies on its bound: the lamps' power or the transfer function is not as given"
+        )
+    lines += _on_bounds(problem, result.state.rho)
+    if described.status == "not converged":
+        lines.append("the fit has not converged")
+    return lines
+
+
+def _not_identified(name, group, visible):
+    why = "no pixel shows it" if visible == 0 else f"none of its {visible} pixels can be trusted"
+    taken = "; the balance takes `assumed`, from the seen groups and the light it gives" if group.assumed else ""
+    return f"group {name!r} is not identified: {why}{taken}"
+
+
+def _on_bounds(problem, rho):
+    """A line for each group that is seen and fitted and whose reflectance is 0 or 1."""
+    judged = problem.seen_groups & np.isnan(problem.rho).any(axis=1)
+    if problem.specular is not None:
+        judged[list(problem.specular.groups)] = False  # a lobe over black is nothing strange
+    on_bound = judged & ((rho > 0.9995) | (rho < 1e-6)).any(axis=1)
+    return [
+        f"group {problem.groups[g]!r}: a reflectance lies on its bound ({', '.join(f'{v:.4g}' for v in rho[g])}):"
+        " a lamp may be weaker or stronger than given"
+        for g in np.flatnonzero(on_bound)
+    ]

@@ -1,0 +1,246 @@
+"""The inverse problem linearised: residuals of the tiles and their exact derivatives.
+
+Derivatives of the patches' light:
+    db/drho_h = (I - rho F)^-1 1_h (D E + F b),      db/dE_l = (I - rho F)^-1 rho D_l.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from lib.analysis.problem import Problem, State, display_residual, unseen_prior
+from lib.analysis.transport import TileLight, product
+from lib.light.balance import reflected, times
+
+GAMMA_RANGE = 0.2, 8.0
+
+
+class Unknowns(NamedTuple):
+    """Values of everything that may be free.
+
+    rho : (G, C);  E : (L, C);  rho_s : (M, C) or None;  bend : (n,) or None
+    """
+
+    rho: np.ndarray
+    E: np.ndarray
+    gamma: float
+    rho_s: np.ndarray | None = None
+    bend: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which parameters are free, in this order: reflectances, lamps, specular reflectances, shapes of lobes, gamma.
+
+    rho : (n_rho, 2) group, channel;  E : (n_E, 2) lamp, channel;  rho_s : (n_s, 2) specular group, channel
+    bend : bounds (low, high) of each shape's step;  gamma : whether it is free
+    """
+
+    rho: np.ndarray
+    E: np.ndarray
+    rho_s: np.ndarray
+    bend: tuple
+    gamma: bool
+
+    @classmethod
+    def of(cls, problem: Problem) -> Layout:
+        """What the problem leaves open; of groups only those that a tile or a patch has."""
+        used = np.isin(np.arange(len(problem.groups)), np.concatenate([problem.tile_group, problem.patch_group]))
+        rho = np.argwhere(np.isnan(problem.rho) & used[:, None])
+        E = np.argwhere(np.isnan(problem.emittance))
+        terms = problem.specular
+        if terms is None:
+            return cls(rho, E, np.zeros((0, 2), int), (), problem.fit_gamma)
+        bend = tuple((shape.low, shape.high) for shape in terms.bend)
+        return cls(rho, E, np.argwhere(np.isnan(terms.rho_s)), bend, problem.fit_gamma)
+
+    @property
+    def ends(self):
+        """Where each kind of parameter ends: of rho, E, rho_s, bend."""
+        return np.cumsum([len(self.rho), len(self.E), len(self.rho_s), len(self.bend)])
+
+    @property
+    def size(self):
+        return int(self.ends[-1]) + self.gamma
+
+    @property
+    def channel(self):
+        """Of the parameters that change the patches' light, (n,)."""
+        return np.concatenate([self.rho[:, 1], self.E[:, 1], self.rho_s[:, 1]]).astype(int)
+
+    def pack(self, state: State):
+        """(n,) parameters of a state."""
+        parts = [state.rho[tuple(self.rho.T)], state.E[tuple(self.E.T)]]
+        if len(self.rho_s) or self.bend:
+            parts += [state.rho_s[tuple(self.rho_s.T)], state.bend]
+        return np.concatenate(parts + [[state.gamma] * self.gamma])
+
+    def unpack(self, theta, state: State) -> Unknowns:
+        """The unknowns at parameters theta (n,); what is not free stays as in the state."""
+        rho, E = state.rho.copy(), state.E.copy()
+        rho_s, bend = None if state.rho_s is None else state.rho_s.copy(), state.bend
+        n, m, k, j = self.ends
+        rho[tuple(self.rho.T)] = theta[:n]
+        E[tuple(self.E.T)] = theta[n:m]
+        if k > m:
+            rho_s[tuple(self.rho_s.T)] = theta[m:k]
+        if j > k:
+            bend = theta[k:j].copy()
+        return Unknowns(rho, E, float(theta[-1]) if self.gamma else state.gamma, rho_s, bend)
+
+    def bounds(self):
+        """(n,), (n,): between which the parameters stay."""
+        n, m, s = len(self.rho), len(self.E), len(self.rho_s)
+        low, high = (np.array([b[i] for b in self.bend], float).reshape(-1) for i in (0, 1))
+        return (
+            np.concatenate([np.zeros(n + m + s), low, [GAMMA_RANGE[0]] * self.gamma]),
+            np.concatenate([np.ones(n), np.full(m, np.inf), np.ones(s), high, [GAMMA_RANGE[1]] * self.gamma]),
+        )
+
+
+class Equations:
+    """The problem linearised at a state: residual and Jacobian in display values, per half of the rays, too."""
+
+    def __init__(self, problem: Problem, light: TileLight, layout: Layout, at: Unknowns, x0=None):
+        self.problem, self.light, self.layout = problem, light.at(at.rho_s), layout
+        b, self.irradiance = light.solve(at.rho, at.E, x0)
+        B = light.shown(at.rho, at.E, b, () if at.bend is None else at.bend)
+        self.state = State(at.rho, at.E, at.gamma, B, b, at.rho_s, at.bend)
+        self.residual, self.slope, self.by_gamma = display_residual(problem, B, at.gamma)
+
+    def moved(self, theta) -> Equations:
+        """The same at other parameters (n,)."""
+        at = self.layout.unpack(theta, self.state)
+        return Equations(self.problem, self.light, self.layout, at, x0=self.state.b)
+
+    @cached_property
+    def patch_derivative(self):
+        """db/dtheta of the patches, (N, n) without gamma and shapes, by one block solve."""
+        layout, state, matrices = self.layout, self.state, self.light.matrices
+        n, m = len(layout.rho), len(layout.rho) + len(layout.E)
+        channel = layout.channel
+        scale = state.rho[self.problem.patch_group].astype(np.float32)
+        rhs = np.zeros((len(self.problem.area), len(channel)), np.float32)
+        for k, (g, c) in enumerate(layout.rho):
+            rhs[:, k] = np.where(self.problem.patch_group == g, self.irradiance[:, c], 0)
+        for k, (lamp, c) in enumerate(layout.E):
+            rhs[:, n + k] = scale[:, c] * matrices.of("D", c)[:, lamp]
+        for k, (s, c) in enumerate(layout.rho_s):
+            slope, _ = matrices.slopes(s, c)
+            rhs[:, m + k] = scale[:, c] * (product(slope["D"], state.E[:, c]) + product(slope["F"], state.b[:, c]))
+        # the exact residual decides where the iteration ends; its derivative only how fast
+        solution = reflected(
+            matrices.F, scale[:, channel], rhs, tolerance=3e-3, x0=self.light.derivative, channel=channel
+        )
+        self.light.derivative = solution.b
+        return solution.b
+
+    def jacobian(self, light: TileLight | None = None, slope=None, by_gamma=None):
+        """(T C, n) with all rays of the tiles, or with those of another light and its slopes of the display values."""
+        self.light.at(self.state.rho_s)
+        db = self.patch_derivative
+        J = _tile_derivative(self.problem, light or self.light, self.layout, self.state, db)
+        J = (self.slope if slope is None else slope)[:, :, None] * J
+        if self.layout.gamma:
+            J[:, :, -1] = self.by_gamma if by_gamma is None else by_gamma
+        return J.reshape(-1, self.layout.size)
+
+    def half(self, k):
+        """Residual (T C,) and Jacobian (T C, n) as half k of the rays of tiles and lobes see them."""
+        s = self.state
+        light = self.light.halves[k].at(s.rho_s)
+        B = light.shown(s.rho, s.E, s.b, () if s.bend is None else s.bend)
+        residual, slope, by_gamma = display_residual(self.problem, B, s.gamma)
+        return residual.reshape(-1), self.jacobian(light, slope, by_gamma)
+
+    def prior(self):
+        """Of the groups never seen: gradient (n,) and Hessian diagonal (n,)."""
+        gradient, diagonal = np.zeros(self.layout.size), np.zeros(self.layout.size)
+        mean, spread = unseen_prior(self.problem, self.state.rho)
+        for k in np.flatnonzero(~np.isin(self.layout.rho[:, 0], self.problem.tile_group)):
+            g, c = self.layout.rho[k]
+            diagonal[k] = 1 / spread[c] ** 2
+            gradient[k] = (self.state.rho[g, c] - mean[c]) * diagonal[k]
+        return gradient, diagonal
+
+    def cost(self, weight):
+        """Weighted sum of squares, (T, C) weights, and the prior's share."""
+        gradient, diagonal = self.prior()
+        return float((weight * self.residual**2).sum() + (gradient**2 / np.where(diagonal > 0, diagonal, 1)).sum())
+
+
+def _tile_derivative(problem: Problem, light: TileLight, layout: Layout, state: State, db):
+    """dB/dtheta of the tiles, (T, C, n), zero for gamma. db : (N, n) of the patches"""
+    n_rho, n_E, n_s, n_bend = layout.ends
+    matrices, channel, tile_group = light.matrices, layout.channel, problem.tile_group
+    bent = _Bent(problem, light, state)
+    reaching = times(matrices.G, db, channel)  # (T, n)
+    glossed = bent.plus(times(matrices.W, db, channel), db, channel)
+    rho_tile = matrices.seen * state.rho[tile_group]
+    irradiance = light.tiles(state.E, state.b)
+    J = np.zeros((len(tile_group), problem.channels, layout.size))
+    for k, c in enumerate(channel):
+        J[:, c, k] = rho_tile[:, c] * reaching[:, k] + (0 if matrices.W is None else glossed[:, k])
+        if k < n_rho:
+            mine = tile_group == layout.rho[k, 0]
+            J[mine, c, k] += (irradiance * matrices.seen)[mine, c]
+        elif k < n_E:
+            lamp = layout.E[k - n_rho, 0]
+            J[:, c, k] += rho_tile[:, c] * matrices.of("D_tile", c)[:, lamp]
+            V = matrices.of("V", c)
+            if not isinstance(V, int):
+                J[:, c, k] += V[:, lamp]
+            J[:, c, k] += bent.by_lamp(lamp, c)
+        else:
+            m = layout.rho_s[k - n_E, 0]
+            slope, dseen = matrices.slopes(m, c)
+            b, E = state.b[:, c], state.E[:, c]
+            J[:, c, k] += (
+                rho_tile[:, c] * (product(slope["D_tile"], E) + product(slope["G"], b))
+                + product(slope["V"], E)
+                + product(slope["W"], b)
+                + dseen * state.rho[tile_group, c] * irradiance[:, c]
+            )
+            J[:, c, k] += bent.by_rho_s(m, c, b, E)
+    for k in range(n_s, n_bend):
+        shape = problem.specular.bend[k - n_s]
+        J[:, :, k] = light.bent(shape.W, shape.V, state.E, state.b)
+    return J
+
+
+class _Bent:
+    """What steps in the shapes of lobes, away from where they were traced, add to the derivatives of W and V."""
+
+    def __init__(self, problem, light, state):
+        shapes = problem.specular.bend if problem.specular else ()
+        steps = () if state.bend is None else state.bend
+        self.steps = [(step, shape) for step, shape in zip(steps, shapes, strict=False) if step]
+        if self.steps:
+            self.chains, self.rho_s = problem.specular.chains, light.matrices.rho_s
+            self.power = self.chains.power(self.rho_s)
+
+    def plus(self, glossed, db, channel):
+        """glossed (T, n), what the lobes show of a change db (N, n) of the patches, with the steps' share."""
+        for step, shape in self.steps:
+            glossed = glossed + sum(step * self.power[k][channel] * (A @ db) for k, A in shape.W.items())
+        return glossed
+
+    def by_lamp(self, lamp, c):
+        """Derivative by the lamp's emittance in channel c."""
+        return sum(step * self.power[k, c] * A[:, lamp] for step, shape in self.steps for k, A in shape.V.items())
+
+    def by_rho_s(self, m, c, b, E):
+        """Derivative by rho_s[m, c]; b : (N,), E : (L,) of that channel."""
+        if not self.steps:
+            return 0
+        slope = self.chains.slope(self.rho_s, m)[:, c]
+        return sum(
+            step * slope[k] * (A @ x)
+            for step, shape in self.steps
+            for parts, x in ((shape.W, b), (shape.V, E))
+            for k, A in parts.items()
+        )

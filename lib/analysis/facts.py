@@ -1,0 +1,109 @@
+"""What scene.yaml says and what was gathered, as one inverse problem."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lib.analysis.gather import Gathered
+from lib.analysis.problem import Halves, Problem
+from lib.core.stage import BadInput
+from lib.given.transfer import Metric, Transfer
+from lib.light.factors_file import FormFactors
+
+FITTED_AS_LINEAR = ("linear_per_group", "histogram", "histogram_per_group")  # the transfer is the finished picture's
+USUAL_GAMMA = 2.2
+
+
+def transfer_of(transfer, linear_photograph) -> Transfer:
+    """The transfer function that scene.yaml names, with gamma's usual start where it is to be found."""
+    if transfer is None:
+        transfer = "linear" if linear_photograph else "gamma"
+    if isinstance(transfer, dict):
+        return Transfer("gamma", float(transfer["gamma"]))
+    if transfer == "gamma":
+        return Transfer("gamma", USUAL_GAMMA)
+    if transfer == "linear" or transfer in FITTED_AS_LINEAR:
+        return Transfer("linear")
+    if transfer == "srgb":
+        return Transfer("srgb")
+    raise BadInput(f"transfer: {transfer!r} is not built yet")
+
+
+def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, transfer) -> Problem:
+    """Facts and light as one inverse problem.
+
+    lamps : {name: [E per channel] or "unknown"};  reference : {group: rho};  transfer : as in scene.yaml, or None
+    BadInput: names that the model has not, colours in a grey photograph, lamps that are all dark.
+    """
+    _check_names(factors, lamps, reference)
+    tiles, channels = found.tiles, found.pixels.shape[1]
+    model = transfer_of(transfer, found.linear)
+    subcell = factors.subcell()
+    seen_by = lambda rows, half=None: (rows.matrix(half) @ subcell).tocsr()
+    return Problem(
+        F=seen_by(factors.rows),
+        D=factors.lamp_factor,
+        patch_group=factors.patch_group,
+        area=factors.area,
+        G=seen_by(tiles.rows),
+        G_plain=tiles.rows.matrix(),
+        D_tile=tiles.direct,
+        tile_group=found.group,
+        tile_object=found.object,
+        start=tiles.start,
+        pixels=found.pixels,
+        groups=factors.groups,
+        lamps=factors.lamps,
+        emittance=_emittances(factors.lamps, lamps, channels),
+        rho=_known_reflectances(factors, reference, channels),
+        metric=Metric(model),
+        fit_gamma=model.kind == "gamma" and not isinstance(transfer, dict),
+        halves=Halves(*(seen_by(tiles.rows, k) for k in (0, 1)), *(seen_by(factors.rows, k) for k in (0, 1))),
+        group_area=factors.group_area_m2,
+    )
+
+
+def _check_names(factors, lamps, reference):
+    problems = [f"reference: group {name!r} is not in the model" for name in reference if name not in factors.groups]
+    problems += [
+        f"lamps: {name!r}: formfactors.npz has no factors for it" for name in lamps if name not in factors.lamps
+    ]
+    problems += [
+        f"lamps: {name!r} has factors in formfactors.npz but no emittance"
+        for name in factors.lamps
+        if name not in lamps
+    ]
+    if problems:
+        raise BadInput(*problems)
+
+
+def _emittances(names, lamps, channels):
+    """(L, C), NaN where unknown."""
+    E = np.full((len(names), channels), np.nan)
+    for k, name in enumerate(names):
+        if not isinstance(lamps[name], str):
+            E[k] = _channels(lamps[name], channels, f"lamps.{name}")
+    if not np.isnan(E).any() and not E.any():
+        raise BadInput(f"lamps: {', '.join(lamps)}: every emittance is 0: there is no light to explain the photograph")
+    return E
+
+
+def _known_reflectances(factors, reference, channels):
+    """(G, C): 0 for lamps, the given values for references, NaN else."""
+    rho = np.full((len(factors.groups), channels), np.nan)
+    for name in factors.lamps:
+        rho[factors.groups.index(name)] = 0
+    for name, value in reference.items():
+        rho[factors.groups.index(name)] = _channels(value, channels, f"reference.{name}")
+    return rho
+
+
+def _channels(value, channels, name):
+    value = np.atleast_1d(np.asarray(value, float))
+    if channels == 1 and len(value) == 3:
+        if np.ptp(value) > 1e-6 * max(1e-12, abs(value).max()):
+            raise BadInput(f"{name}: {value.tolist()} is coloured, but the photograph has one channel")
+        value = value[:1]
+    if len(value) not in (1, channels):
+        raise BadInput(f"{name}: {value.tolist()} has not one value per channel")
+    return np.broadcast_to(value, channels)

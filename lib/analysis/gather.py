@@ -1,0 +1,209 @@
+"""The light that each part of the photograph receives: tiles of its pixels as receivers (gathering).
+
+A tile is a square block of the photograph's pixels on one facet. Its direct light is the mean over its pixels of the
+exact lamp factors with shadows. Its indirect light is one row of form factors, whose rays start at the tile's own
+pixels. So patch-constant light enters only at the second bounce, and a change of reflectance costs one small linear
+solve and no ray.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from lib.buffers.edges import boundary
+from lib.core import artefact
+from lib.given.view import View
+from lib.light import form_factors, lamps
+from lib.light.cells import Mesh
+from lib.light.factors_file import FormFactors
+from lib.light.form_factors import FormFactorRows
+from lib.light.surface import Surface, backproject, side_normals
+
+MOST_RAYS = 4096  # from one tile
+
+
+@dataclass(frozen=True, eq=False)
+class Tiles:
+    """T tiles of M pixels, L lamps, N patches.
+
+    facet : (T,) int32;  start : (T + 1,) int64 into pixel;  pixel : (M,) int64 flat index y * W + x, tile by tile
+    direct : (T, L) mean factor to each lamp, shadows included;  rows : (T, N) indirect light
+    """
+
+    facet: np.ndarray
+    start: np.ndarray
+    pixel: np.ndarray
+    direct: np.ndarray
+    rows: FormFactorRows
+
+    def __len__(self):
+        return len(self.facet)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How finely light is gathered.
+
+    rays_per_tile, rays_per_facet : at least so many from each;  lamp_samples : shadow rays per pixel and lamp
+    tiles_per_facet : about so many;  largest, smallest : side of a tile, px
+    """
+
+    rays_per_tile: int = 512
+    rays_per_facet: int = 32768
+    lamp_samples: int = 4
+    tiles_per_facet: int = 24
+    largest: int = 20
+    smallest: int = 4
+    seed: int = 5
+
+
+AUDIT = Sampling(rays_per_tile=128, rays_per_facet=0, lamp_samples=1, tiles_per_facet=60, seed=77)
+
+
+def blocks(facet, used, *, largest=20, smallest=4, tiles_per_facet=24):
+    """Cut the used pixels into square tiles of one facet each, small on small facets.
+
+    facet : (H, W) int, -1 = nothing;  used : (H, W) bool
+    Returns facet (T,), start (T + 1,), pixel (M,).
+    """
+    y, x = np.nonzero(used & (facet >= 0))
+    f = facet[y, x].astype(np.int64)
+    if len(f) == 0:
+        return np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64)
+    count = np.bincount(f)
+    block = np.clip(np.sqrt(count / tiles_per_facet), smallest, largest).astype(np.int64)[f]
+    columns = facet.shape[1] // smallest + 1
+    key = (f * (facet.shape[0] // smallest + 1) + y // block) * columns + x // block
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    return (
+        f[order][starts].astype(np.int32),
+        np.append(starts, len(order)).astype(np.int64),
+        (y * facet.shape[1] + x)[order],
+    )
+
+
+def pure(photograph, facet):
+    """(H, W) bool: pixels that show one facet alone, are not black, and have no saturated one within two pixels.
+
+    Beside a highlight's core those pixels that noise kept below saturation would be too dark on average.
+    """
+    import cv2
+
+    values = photograph.values
+    usable = (facet >= 0) & ~boundary(facet)
+    if photograph.linear:
+        return usable & (values > 0).all(axis=2)
+    clipped = (values >= 250 / 255 - 1e-9).any(axis=2).astype(np.uint8)
+    near_clipped = cv2.dilate(clipped, np.ones((5, 5), np.uint8)) != 0
+    return usable & (values > 2 / 255 + 1e-9).any(axis=2) & ~near_clipped
+
+
+def build(
+    surface: Surface, mesh: Mesh, camera, facet, used, emitters, n_lamps, sampling: Sampling = Sampling(), progress=None
+) -> Tiles:
+    """Tiles of the used pixels with their direct factors and form-factor rows.
+
+    facet : (H, W) int, -1 = nothing;  used : (H, W) bool;  emitters : from lamps.emitters
+    """
+    s = sampling
+    tile_facet, start, pixel = blocks(
+        facet, used, largest=s.largest, smallest=s.smallest, tiles_per_facet=s.tiles_per_facet
+    )
+    p, side = backproject(surface, camera, np.repeat(tile_facet, np.diff(start)), pixel)
+    direct = lamps.direct(
+        surface,
+        emitters,
+        p,
+        side_normals(surface),
+        side,
+        n_lamps,
+        n_samples=s.lamp_samples,
+        start=start,
+        seed=s.seed - 5,
+    )
+    tiles_of = np.zeros(0, int)
+    if len(tile_facet):
+        tiles_of = np.bincount(tile_facet, minlength=len(surface.normal))[tile_facet]
+    wanted = np.minimum(np.maximum(s.rays_per_tile, s.rays_per_facet / np.maximum(tiles_of, 1)), MOST_RAYS)
+    n_rays = (2 ** np.ceil(np.log2(wanted))).astype(np.int64)
+    first = start[:-1]
+    rows = form_factors.gather(
+        surface, mesh, p, start, side[first] if len(first) else side, n_rays, seed=s.seed, progress=progress
+    )
+    return Tiles(tile_facet, start, pixel, direct, rows)
+
+
+# -- gather.npz, audit.npz
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """What gather.npz holds: the tiles, the photograph's pixels in them, and which groups the photograph shows.
+
+    pixels : (M, C) display values (linear: EXR), in the order of tiles.pixel;  group, object : (T,) int32
+    visible : (G,) pixels that show each group, used or not;  linear : the photograph is linear (EXR)
+    """
+
+    tiles: Tiles
+    pixels: np.ndarray
+    group: np.ndarray
+    object: np.ndarray
+    visible: np.ndarray
+    linear: bool
+    channels_in_file: int
+
+
+def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling: Sampling) -> Gathered:
+    """Tiles of a photograph's used pixels (H, W), but for those that show a lamp: what they show is its emittance."""
+    lamp = np.isin(surface.group, [factors.groups.index(name) for name in factors.lamps])
+    shown = view.facet >= 0
+    emitters = lamps.emitters(surface, factors.lamps)
+    tiles = build(
+        surface,
+        factors.mesh,
+        view.camera,
+        view.facet,
+        used & shown & ~lamp[view.facet],
+        emitters,
+        len(factors.lamps),
+        sampling,
+    )
+    return Gathered(
+        tiles,
+        view.pixels(tiles.pixel),
+        surface.group[tiles.facet],
+        surface.object[tiles.facet],
+        np.bincount(surface.group[view.facet[shown]], minlength=len(factors.groups)),
+        view.photograph.linear,
+        view.photograph.channels_in_file,
+    )
+
+
+OF_ROWS = [f.name for f in fields(FormFactorRows)]
+OF_TILES = [f.name for f in fields(Tiles) if f.name != "rows"]
+OF_GATHERED = [f.name for f in fields(Gathered) if f.name != "tiles"]
+
+
+def write(path, found: Gathered):
+    """Whole or absent."""
+    tiles = found.tiles
+    arrays = {f"rows_{name}": getattr(tiles.rows, name) for name in OF_ROWS}
+    arrays |= {f"tiles_{name}": getattr(tiles, name) for name in OF_TILES}
+    arrays |= {name: getattr(found, name) for name in OF_GATHERED}
+    artefact.write_npz(path, **arrays)
+
+
+def read(path) -> Gathered:
+    """BadInput: an array is missing."""
+    a = artefact.read_npz(
+        path, *(f"rows_{name}" for name in OF_ROWS), *(f"tiles_{name}" for name in OF_TILES), *OF_GATHERED
+    )
+    rows = {name: a[f"rows_{name}"] for name in OF_ROWS}
+    rows["columns"] = int(rows["columns"])
+    tiles = Tiles(**{name: a[f"tiles_{name}"] for name in OF_TILES}, rows=FormFactorRows(**rows))
+    more = {name: a[name] for name in OF_GATHERED}
+    more["linear"], more["channels_in_file"] = bool(more["linear"]), int(more["channels_in_file"])
+    return Gathered(tiles, **more)

@@ -1,0 +1,156 @@
+"""Reflectances, lamps and gamma together, by Gauss-Newton (docs/design.md, gamma and rho share a valley)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lib.analysis.equations import Equations, Layout, Unknowns
+from lib.analysis.problem import Problem, Result, initialise, rmse, scale, weights
+from lib.analysis.transport import TileLight
+from lib.analysis.uncertainty import uncertainty
+
+TRIES = 12  # at a damping ten times larger each, until a step lowers the cost
+UNBIASED_STEPS = 8
+
+
+def gauss_newton(
+    problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e-5, trace=None, start=None, finish=True
+) -> Result:
+    """Levenberg-Marquardt with bounds and Huber weights, then a few steps that take away a bias.
+
+    The sampling noise of the tiles' own light is noise in the regressors, which biases least squares, gamma worst of
+    all. The two halves of each tile's rays err independently, so the Jacobian of one half against the residual of the
+    other has no such bias (docs/design.md, instruments).
+
+    start : Unknowns to begin with instead of eq. 4.3, as specular problems must; bends begin at 0
+    finish : False: neither the last steps nor the uncertainty (on the way to a better problem)
+    trace : called after each iteration with iteration, image_rmse, state
+    """
+    layout, light = Layout.of(problem), TileLight(problem)
+    if start is None:
+        start = Unknowns(*initialise(problem, gamma), gamma)
+    at = Equations(problem, light, layout, _begun(problem, layout, start))
+    solvable = layout.size > 0 and len(problem.tile_group) > 0
+    at, converged, iteration = _least_squares(problem, at, max_iterations if solvable else 0, tolerance, trace)
+    converged = converged or layout.size == 0
+    if finish and problem.halves and converged and solvable:
+        at, steps = _unbiased(problem, at, tolerance)
+        iteration += steps
+        if trace:
+            trace(iteration=iteration, image_rmse=rmse(problem, at.residual), state=at.state)
+    result = Result(
+        at.state, converged, iteration, rmse(problem, at.residual), tile_residual=at.residual, residual=light.residual
+    )
+    if finish and solvable:
+        uncertainty(problem, at, result)
+    return result
+
+
+def _begun(problem, layout, start: Unknowns) -> Unknowns:
+    gamma = start.gamma if problem.fit_gamma else problem.metric.transfer.gamma
+    bend = None if start.rho_s is None else np.zeros(len(layout.bend))
+    return start._replace(gamma=gamma, bend=bend)
+
+
+def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
+    """Equations at the least squares, whether the last step was small enough, and the number of iterations."""
+    low, high = at.layout.bounds()
+    damping, converged, iteration = 1e-3, False, 0
+    while True:
+        if trace:
+            trace(iteration=iteration, image_rmse=rmse(problem, at.residual), state=at.state)
+        if converged or iteration >= max_iterations:
+            return at, converged, iteration
+        iteration += 1
+        weight = weights(problem, at.residual)
+        J = at.jacobian()
+        gradient, diagonal = at.prior()
+        H = J.T @ (weight.reshape(-1, 1) * J) + np.diag(diagonal)
+        g = J.T @ (weight * at.residual).reshape(-1) + gradient
+        theta, cost = at.layout.pack(at.state), at.cost(weight)
+        for _ in range(TRIES):
+            step = _bounded_step(H, g, theta, low, high, damping)
+            trial = at.moved(theta + step)
+            if trial.cost(weight) <= cost * (1 + 1e-9) + 1e-12:
+                damping = max(damping / 10, 1e-9)
+                break
+            damping = max(damping, 1e-6) * 10
+        else:
+            return at, bool(_relative(step, theta) < 100 * tolerance), iteration
+        at = trial
+        converged = bool(_relative(step, theta) < tolerance)
+
+
+def _relative(step, theta):
+    return float(np.max(np.abs(step) / np.maximum(np.abs(theta), 0.05), initial=0.0))
+
+
+def _unbiased(problem, start: Equations, tolerance):
+    """From the least squares to the root of  J0' W r1 + J1' W r0 + prior = 0  (halves as instruments for each other).
+
+    Returns the equations there and the steps taken. Where the steps do not die away, the least squares stand, with 0
+    steps.
+    """
+    at, last = start, np.inf
+    weight = weights(problem, at.residual).reshape(-1)
+    low, high = at.layout.bounds()
+    for steps in range(1, UNBIASED_STEPS + 1):
+        (r0, J0), (r1, J1) = at.half(0), at.half(1)
+        gradient, diagonal = at.prior()
+        cross = J0.T @ (weight[:, None] * J1)
+        H = (cross + cross.T) / 2 + np.diag(diagonal)
+        g = (J0.T @ (weight * r1) + J1.T @ (weight * r0)) / 2 + gradient
+        if not _positive_definite(H):
+            break
+        theta = at.layout.pack(at.state)
+        step = _bounded_step(H, g, theta, low, high, 0.0)
+        size = _relative(step, theta)
+        if size > 0.9 * last:
+            break
+        last = size
+        at = at.moved(theta + step)
+        if size < 10 * tolerance:
+            return at, steps
+    return start, 0
+
+
+def _positive_definite(H):
+    diagonal = np.diag(H)
+    return bool((diagonal > 0).all() and np.linalg.eigvalsh(H / np.sqrt(np.outer(diagonal, diagonal)))[0] > 1e-9)
+
+
+def _bounded_step(H, g, theta, low, high, damping):
+    """Levenberg-Marquardt step within bounds.
+
+    A step towards a bound covers at most 0.9 of the way: clipping would bend its direction. A parameter that sits at
+    its bound and is pushed outward is held.
+    """
+    held = ((theta <= low + 1e-9) & (g > 0)) | ((theta >= high - 1e-9) & (g < 0))
+    free = np.flatnonzero(~held)
+    step = np.zeros(len(theta))
+    if len(free):
+        A = H[np.ix_(free, free)]
+        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+        A = A / np.outer(size, size)
+        step[free] = np.linalg.lstsq(A + damping * np.eye(len(free)), -g[free] / size, rcond=1e-13)[0] / size
+    room = np.where(step > 0, high - theta, theta - low)
+    limit = np.where(np.abs(step) > 0, np.where(room > 1e-4, 0.9 * room, room) / np.maximum(np.abs(step), 1e-12), 1.0)
+    most = np.abs(step) * np.minimum(limit, 1)
+    return np.clip(step, -most, most)
+
+
+def fit(problem: Problem, **options):
+    """`gauss_newton`, and what fixed the scale.
+
+    Interreflection alone may have to fix it. Where it cannot (the lamps' sigma is half their value or more), the lamps
+    are set to 1 by convention, and the rest is fitted again.
+    """
+    fixed_by = scale(problem)
+    result = gauss_newton(problem, **options)
+    if fixed_by == "interreflection" and len(problem.tile_group) and (result.sigma_E > 0.5 * result.state.E).any():
+        result = gauss_newton(replace(problem, emittance=np.ones_like(problem.emittance)), **options)
+        result.warnings.append("interreflection is too weak here to fix the scale: emittance 1 by convention")
+        fixed_by = "convention"
+    return result, fixed_by

@@ -1,0 +1,225 @@
+"""The reflectance ladder (section 4.5): each group climbs only as far as its error demands.
+
+    diffuse -> perfect mirror -> coloured mirror -> glossy (Ward) -> anisotropic -> textured
+
+`climb` starts from the fit in which everything is diffuse and asks, group by group, whether the photograph agrees with
+it to the threshold or the noise. Of the groups that do not, each is tried on the next rungs in the light found so far:
+as a mirror by what its virtual viewpoint shows, as a glossy surface by the light in its lobe. The group whose error a
+rung explains best climbs. Then everything is fitted anew, all reflectances, lobes, lamps and gamma together, with the
+light that now goes by way of that surface. And the question is asked again: a bright patch on the floor was perhaps
+only the mirror's. What no rung explains is a texture.
+
+A rung must be worth its parameters: among those that explain about equally well the lowest is taken, and one that
+leaves half of the error beyond noise and its chance is not taken at all: noise never makes a wall glossy.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lib.analysis import misfits, rungs
+from lib.analysis.climbing import RUNGS, Climb, Place
+from lib.analysis.misfits import is_over, tolerance
+from lib.analysis.problem import Result
+from lib.analysis.refit import refit
+from lib.analysis.rungs import LightSoFar, Trial
+from lib.analysis.site import Site
+from lib.light.chains import Finish
+
+MOST_ROUNDS = 12
+
+
+def climb(
+    site: Site, result: Result, scale, *, given=None, threshold=misfits.THRESHOLD, trace=None, options=None
+) -> Climb:
+    """From the diffuse fit to every group's rung.
+
+    given : {group number: kind} from scene.yaml;  threshold : display RMSE beyond noise that a group may keep
+    trace : called with the round (0 before the first trial), the name of the step and the Result after each fit
+    options : of gauss_newton.gauss_newton
+    """
+    given, options = dict(given or {}), dict(options or {})
+    fitted = lambda here: refit(site, here, options, trace and (lambda step, result: trace(here.rounds, step, result)))
+    here = _at_the_foot(site, result, scale, given)
+    settled = site.base.known_groups | {g for g, kind in given.items() if kind in ("diffuse", "textured")}
+    if "textured" in given.values():
+        here = fitted(here)
+    wanted = {g: kind for g, kind in given.items() if kind in ("mirror", "coloured_mirror", "glossy")}
+    for here.rounds in range(1, MOST_ROUNDS + 1):
+        step = _Step(site, here, wanted, settled, threshold)
+        if not step.taken():
+            break
+        here = fitted(here)
+        if _back(here, threshold):
+            here = fitted(here)
+        wanted, settled = {}, settled | set(given)
+    return here
+
+
+def _at_the_foot(site, result, scale, given) -> Climb:
+    """Everything diffuse, but for textures that scene.yaml names."""
+    found, _ = misfits.audit(site.subcell, site.base, result, site.tiles)
+    places = {int(g): Place() for g in np.unique(site.surface.group)}
+    for g, kind in given.items():
+        places[g].given = True
+        if kind == "textured":
+            places[g] = Place("textured", why="given in scene.yaml", given=True)
+    return Climb(site.base, result, scale, places, found, dict(found), None, site.tiles)
+
+
+class _Choice(NamedTuple):
+    """A rung that may be taken. worth : energy that it explains;  gain : share of the group's error"""
+
+    worth: float
+    gain: float
+    trial: Trial
+    tried: list
+
+
+class _Step:
+    """One round of the climb: which groups are over, what rungs would explain of them, and which are taken."""
+
+    def __init__(self, site: Site, here: Climb, wanted, settled, threshold):
+        """wanted : {group: kind} that scene.yaml names and that is still to be given;  settled : groups that stay"""
+        self.site, self.here, self.wanted, self.settled, self.threshold = site, here, wanted, settled, threshold
+        over = {g for g, m in here.misfits.items() if g not in settled and is_over(m, threshold)}
+        self.trials, explained = {}, 0.0
+        for g in sorted({*over, *wanted}, key=self.energy, reverse=True):
+            if self.energy(g) < 0.03 * explained and g not in wanted:
+                continue  # its error may be the other one's light: it is asked again
+            self.trials[g] = self._tried(g)
+            explained = max([explained] + [self.energy(g) for t in self.trials[g] if t.explained > 0.8])
+
+    def energy(self, g):
+        """What the group is off by as a whole; without bound where no pixel tells."""
+        return self.here.misfits[g].energy if g in self.here.misfits else np.inf
+
+    def taken(self) -> list:
+        """The groups that have climbed, their places changed.
+
+        The greatest error comes first: what no rung explains may be what a mirror shows, or throw gamma off. But it
+        does not come before a rung that explains its group wholly, whose light may be that error.
+        """
+        unexplained = [
+            g for g, tried in self.trials.items() if g not in self.wanted and not any(t.explained > 0.5 for t in tried)
+        ]
+        greatest = max(unexplained, key=self.energy, default=None)
+        others = max((self.energy(g) * t.explained for g, tried in self.trials.items() for t in tried), default=0.0)
+        sure = any(
+            t.explained > 0.8 and t.misfit.excess <= 0.5 * self.threshold
+            for tried in self.trials.values()
+            for t in tried
+        )
+        if greatest is not None and self.energy(greatest) > 4 * others and not sure:
+            return self._texture(greatest) or self._climb()
+        return self._climb() or (self._texture(greatest) if greatest is not None else [])
+
+    def _tried(self, g) -> list:
+        """The rungs above the group's own, tried in the present light, until one explains the group."""
+        light, own = self._light_without(g), RUNGS.index(self.here.places[g].rung)
+        wanted, above = self.wanted.get(g), lambda trials: [t for t in trials if RUNGS.index(t.rung) > own]
+        trials = []
+        if wanted in (None, "mirror", "coloured_mirror") and own < RUNGS.index("coloured_mirror"):
+            textured = [h for h, place in self.here.places.items() if place.rung == "textured"]
+            chains = None if self.here.finish is None else self.here.problem.specular.chains
+            diffuse = rungs.plain(self.site, light, self.here.tiles, self.here.result.state.rho_s, chains, g)
+            trials += rungs.as_mirror(self.site, light, g, diffuse, textured)
+            if wanted:
+                return [t for t in trials if t.rung == wanted]
+            if any(t.misfit.excess <= self.threshold or t.explained > 0.7 for t in trials):
+                return above(trials)  # if the rest is more than the light's, it climbs on
+        return above(trials + rungs.as_glossy(self.site, light, g, self.threshold))
+
+    def _light_without(self, g) -> LightSoFar:
+        """The light found so far, with the specular groups but g."""
+        here, state = self.here, self.here.result.state
+        if here.finish is None:
+            none = Finish((), np.zeros(0, int), np.zeros((0, 2)), np.zeros((0, 3)))
+            return LightSoFar(here.problem, state, none, np.zeros((0, self.site.channels)))
+        keep = [m for m, other in enumerate(here.finish.groups) if other != g]
+        return LightSoFar(here.problem, state, here.finish.only(keep), state.rho_s[keep])
+
+    def _climb(self) -> list:
+        """Let groups climb that a rung explains: all that are explained nearly wholly, else the best alone."""
+        blind = self._blind_mirrors()
+        choices = {g: choice for g in self.trials if (choice := self._choice(g)) is not None}
+        if not choices:
+            return blind
+        best = max(choices, key=lambda g: choices[g].worth)
+        taken = [g for g, choice in choices.items() if g == best or g in self.wanted or choice.gain > 0.8]
+        for g in taken:
+            self._put(g, choices[g])
+        return taken + blind
+
+    def _blind_mirrors(self) -> list:
+        """Mirrors that scene.yaml names and that no pixel can judge: their light goes on all the same."""
+        blind = [g for g, kind in self.wanted.items() if not self.trials.get(g) and "mirror" in kind]
+        one = np.ones(self.site.channels)
+        for g in blind:
+            why = "given in scene.yaml; no pixel shows what it reflects"
+            self.here.places[g] = Place(self.wanted[g], 0 * one, one, why=why, given=True)
+        return blind
+
+    def _choice(self, g) -> _Choice | None:
+        """The lowest of the rungs that explain the group about as well as the best; None if that is not enough."""
+        tried = self.trials[g]
+        if not tried:
+            return None
+        # the light is not yet that of the end: about as good is good
+        enough = max(self.threshold, 2 * min(t.misfit.excess for t in tried))
+        trial = next(t for t in sorted(tried, key=lambda t: RUNGS.index(t.rung)) if t.misfit.excess <= enough)
+        gain = trial.explained
+        if self.here.places[g].rung != "diffuse":
+            now = self.here.misfits[g].excess if g in self.here.misfits else np.inf
+            gain = 1 - (trial.misfit.excess / max(now, 1e-12)) ** 2
+        dull = trial.rung in ("glossy", "anisotropic") and trial.rho_s.max() <= 0.002
+        if g in self.wanted or (gain > 0.5 and not dull):
+            return _Choice(gain * trial.diffuse.energy, gain, trial, tried)
+        return None
+
+    def _put(self, g, choice: _Choice):
+        trial, old = choice.trial, self.here.places[g]
+        said = ", ".join(f"{t.rung} {t.misfit.excess:.4f}" for t in choice.tried)
+        first = "given in scene.yaml" if old.given else f"off by {trial.diffuse.excess:.4f} beyond noise as diffuse"
+        self.here.places[g] = Place(
+            trial.rung,
+            trial.rho_d,
+            trial.rho_s,
+            trial.alpha,
+            trial.tangent,
+            f"{first}; {said}",
+            old.tried + _told(choice.tried),
+            old.given,
+        )
+
+    def _texture(self, g) -> list:
+        """What no rung explains is a texture, if it is clearly more than shadows' edges leave."""
+        place = self.here.places[g]
+        if g not in self.here.misfits or place.rung != "diffuse":
+            return []
+        excess = self.here.misfits[g].excess
+        if excess <= 1.5 * self.threshold:
+            return []
+        place.rung, place.tried = "textured", _told(self.trials.get(g, []))
+        place.why = f"off by {excess:.4f} beyond noise as diffuse, and no mirror or lobe explains half of that"
+        self.settled.add(g)
+        return [g]
+
+
+def _told(trials):
+    """Trials as the report has them."""
+    return [{"rung": t.rung, "excess": t.misfit.excess, "diffuse": t.diffuse.excess} for t in trials]
+
+
+def _back(here: Climb, threshold) -> list:
+    """Textures that were none: the light of a rung taken later explains them. They are diffuse again, and stay so."""
+    back = [g for g, m in here.patterns.items() if not here.places[g].given and m.excess <= tolerance(m, threshold)]
+    for g in back:
+        why = here.places[g].why.split(",")[0]
+        now = here.patterns[g].excess
+        here.places[g] = Place(
+            why=f"{why}; {now:.4f} in the light by way of what climbed after it", tried=here.places[g].tried
+        )
+    return back

@@ -1,0 +1,185 @@
+"""How far groups are from the photograph beyond noise and sampling: the question at each step of the ladder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.analysis.problem import Problem, Result, TilePixels, group_mean, metric_of, observe
+from lib.analysis.receivers import Receivers, Ways
+
+ENOUGH = 12  # tiles of a group without which it is not judged
+THRESHOLD = 0.0125  # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How far tiles are from the photograph, in display values.
+
+    excess : rms beyond noise and its chance;  rms, noise;  tiles, pixels : how many
+    """
+
+    excess: float
+    rms: float
+    noise: float
+    tiles: int
+    pixels: int
+
+    @property
+    def judged(self):
+        return self.tiles >= ENOUGH
+
+    @property
+    def energy(self):
+        """What the whole group is off by: squares summed over its pixels."""
+        return self.excess**2 * self.pixels
+
+
+def misfit(problem: Problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
+    """B, seen : (t, C) linear;  n_pixels : (t,);  spread : (t, C) display, of B's own sampling"""
+    metric = metric_of(problem, gamma)
+    residual = metric.value(B) - metric.value(seen)
+    w = n_pixels / max(n_pixels.sum(), 1)
+    square = float((w[:, None] * residual**2).sum() / residual.shape[1])
+    each = problem.pixel_noise**2 / n_pixels[:, None] + np.broadcast_to(np.asarray(spread) ** 2, residual.shape)
+    variance = float((w[:, None] * each).sum() / residual.shape[1])
+    chance = 1 + 3 * np.sqrt(2 / max(residual.size, 1))  # so far three standard errors of a mean square of noise reach
+    excess = float(np.sqrt(max(square - chance * variance, 0)))
+    return Misfit(excess, float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
+
+
+def audit(subcell, problem: Problem, result: Result, tiles: Receivers, traced: Ways | None = None, textured=()):
+    """{group: Misfit} of every group that is seen, and of textured ones as if they were of one reflectance.
+
+    Groups are judged by all their pixels, specular ones by the tiles of their fit, textured ones by their flattest.
+
+    traced : light by specular ways
+    """
+    shown = _Shown(subcell, problem, result, tiles, traced)
+    specular = () if problem.specular is None else problem.specular.groups
+    found = {g: shown.misfit(g, fit=False) for g in map(int, np.unique(tiles.group)) if g not in specular}
+    patterns = {int(g): shown.misfit(g, fit=True) for g in textured if g not in specular}
+    if problem.specular is not None:
+        found |= _specular_misfits(problem, result, tiles, textured)
+    return ({g: m for g, m in part.items() if m is not None} for part in (found, patterns))
+
+
+class _Shown:
+    """The tiles as diffuse surfaces of the fit show them: B, seen (T, C) linear, spread (T, C) display."""
+
+    def __init__(self, subcell, problem, result, tiles, traced):
+        self.problem, self.tiles, state = problem, tiles, result.state
+        self.gamma = state.gamma
+        metric = metric_of(problem, state.gamma)
+        rows, terms = tiles.rows, problem.specular
+        self.seen = TilePixels(tiles.values, tiles.start).linear(metric.transfer)[0]
+        G = (rows.matrix() @ subcell).tocsr()
+        half = 0.5 * (((rows.matrix(0) - rows.matrix(1)) @ subcell) @ state.b)
+        irradiance = tiles.direct @ state.E + G @ state.b
+        power = np.ones((len(tiles), 1))
+        if terms is not None:
+            total = terms.chains.total
+            irradiance = irradiance + total(state.rho_s, traced.G, traced.D, state.b, state.E)
+            half = np.hypot(half, total(state.rho_s, traced.G_spread, traced.D_spread, state.b, state.E))
+            power = terms.chains.power(state.rho_s)[tiles.chain]
+        rho = power * state.rho[tiles.group]
+        self.B = rho * irradiance
+        self.spread = metric.slope(self.B) * np.abs(rho * half)
+
+    def misfit(self, g, fit) -> Misfit | None:
+        """Of the group's tiles that are seen at once, or in mirrors where those are too few; None where there are none.
+
+        fit : by the tiles of the fit, or by those of the audit
+        """
+        t = self.tiles
+        at_once = np.flatnonzero((t.group == g) & (t.fit == fit) & (t.chain == 0))
+        mirrored = np.flatnonzero((t.group == g) & (t.chain > 0))
+        mine = mirrored if len(at_once) < ENOUGH <= len(mirrored) else at_once
+        if not len(mine):
+            return None
+        return misfit(self.problem, self.gamma, self.B[mine], self.seen[mine], t.n_pixels[mine], self.spread[mine])
+
+
+def _specular_misfits(problem, result, tiles, textured):
+    """{group: Misfit} of mirrors and glossy groups, by the tiles that show their lobes, or what they mirror."""
+    terms, state = problem.specular, result.state
+    t = tiles.take(np.flatnonzero(tiles.fit))
+    target = observe(problem, state.gamma)[0]
+    met = terms.chains.counts[t.chain] > 0
+    found = {}
+    for m, g in enumerate(terms.groups):
+        through = met[:, m] & (t.lobe < 0) & ~np.isin(t.group, textured)
+        mine = np.flatnonzero((t.lobe == m) & (t.chain == 0) if (t.lobe == m).any() else through)
+        if len(mine):
+            found[int(g)] = misfit(problem, state.gamma, state.B[mine], target[mine], t.n_pixels[mine])
+    return found
+
+
+# -- what follows from a misfit
+
+
+def tolerance(misfit: Misfit, threshold):
+    """The error that a group may keep.
+
+    A small group may keep the threshold, since shadows in corners may cover it. A group of many pixels, which they do
+    not cover, may keep down to less than half of it.
+    """
+    return threshold * float(np.clip(np.sqrt(2500 / max(misfit.pixels, 1)), 0.45, 1))
+
+
+def is_over(misfit: Misfit, threshold):
+    """Whether the group is off by more than it may, and enough of it is seen to judge that."""
+    return misfit.judged and misfit.excess > tolerance(misfit, threshold)
+
+
+def flagged(problem: Problem, found, given, threshold) -> list:
+    """The groups that a diffuse surface does not explain, and those that are said to be no diffuse ones.
+
+    found : {group: Misfit};  given : {group: kind}
+    """
+    over = {
+        g
+        for g, m in found.items()
+        if g not in problem.known_groups and is_over(m, threshold) and given.get(g) != "diffuse"
+    }
+    return sorted(over | {g for g, kind in given.items() if kind != "diffuse"})
+
+
+def doubt(problem: Problem, result: Result, found, threshold, given, places=None):
+    """Widen sigma of diffuse groups that differ from the photograph by more than they may, and say so.
+
+    They are less sure of their reflectance than pixels and rays make them: as if all of that error were one of their
+    brightness, or of anything where too few tiles are left to judge them by. Writes result.sigma_rho and
+    result.warnings.
+    """
+    if result.sigma_rho is None:
+        return
+    B, seen = (group_mean(problem, values) for values in (result.state.B, np.ones((len(problem.tile_group), 1))))
+    slope = metric_of(problem, result.state.gamma).slope
+    for g, m in sorted(found.items()):
+        climbed = places and places[g].rung != "diffuse"
+        if (
+            g in problem.known_groups
+            or climbed
+            or m.excess <= tolerance(m, threshold)
+            or not np.isfinite(seen[g]).all()
+        ):
+            continue
+        rho = result.state.rho[g]
+        said = (
+            f"group {problem.groups[g]!r}: the photograph differs by {m.excess:.1%} of full scale beyond noise"
+            " from a diffuse surface"
+        )
+        if m.judged:
+            brightness = np.maximum(slope(B[g : g + 1])[0] * B[g], 1e-9)
+            wide = np.minimum(m.excess / brightness, 1) * rho
+            why = "which scene.yaml says it is" if given.get(g) == "diffuse" else "and no rung explains it"
+            result.warnings.append(f"{said}, {why}; its sigma is widened")
+        else:
+            wide = np.maximum(rho, 0.02)
+            left = f"{m.tiles} tile{'s' * (m.tiles != 1)}"
+            result.warnings.append(
+                f"{said}, and what is left of it ({left}) cannot tell what it is: its reflectance may be anything"
+            )
+        result.sigma_rho[g] = np.maximum(result.sigma_rho[g], wide)

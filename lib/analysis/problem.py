@@ -1,0 +1,352 @@
+"""Reflectances, lamps and gamma from one photograph (sections 4.4 and 4.5): the inverse problem.
+
+The scene's light is linear in the lamps and, at given reflectances, one small linear solve:
+
+    b = rho (D E + F b)        reflected radiosity of the patches (eq. 3.2; D: lamp factors)
+    B_t = rho_g (D_t E + G_t b)     radiosity of tile t of the photograph, which lies on group g
+
+so a re-rendering of all tiles after a change of reflectance costs milliseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lib.analysis.mixture import Mixture
+from lib.given.transfer import Metric, Transfer
+
+MISFIT = 4.0  # residuals so many times what noise explains: something told to the fit is wrong
+UNSEEN_MEAN, UNSEEN_SPREAD = 0.5, 0.3  # of groups never seen, where no group is seen
+LEAST_SPREAD = 0.05  # of the prior of a group never seen
+LEAST_NOISE = 0.3 / 255  # display, of one pixel: what rounding to 8 bits leaves
+
+
+class TilePixels:
+    """The photograph's pixels tile by tile; asked for linear means at many gammas, so its levels are found once.
+
+    pixels : (M, C) display;  start : (T + 1,)
+    """
+
+    def __init__(self, pixels, start):
+        self.count = np.diff(start)[:, None]
+        self.start = start
+        self.pixels = pixels
+        scaled = pixels * 65535
+        if len(pixels) and np.array_equal(scaled, np.round(scaled)):
+            self._levels = np.arange(65536) / 65535
+            self._index = scaled.astype(np.uint16)
+        else:
+            self._levels = None
+
+    def _mean(self, values):
+        if len(self.pixels) == 0:
+            return np.zeros((0, self.pixels.shape[1]))
+        return np.add.reduceat(values, self.start[:-1], axis=0) / self.count
+
+    def linear(self, transfer: Transfer):
+        """Linear mean of each tile, and its derivative with respect to gamma: (T, C), (T, C).
+
+        It is mean(T^-1(I)), never T^-1(mean(I)): docs/design.md, Jensen.
+        """
+        if transfer.kind != "gamma":
+            mean = self._mean(transfer.linear(self.pixels))
+            return mean, np.zeros_like(mean)
+        levels = self.pixels if self._levels is None else self._levels
+        power = levels**transfer.gamma
+        slope = power * np.log(np.maximum(levels, 1e-30))
+        if self._levels is not None:
+            power, slope = power[self._index], slope[self._index]
+        return self._mean(power), self._mean(slope)
+
+    def display(self):
+        """Mean display value of each tile, (T, C)."""
+        return self._mean(self.pixels)
+
+
+class Halves(NamedTuple):
+    """G and F from the first and from the last half of their rays: their errors are independent."""
+
+    G0: Any
+    G1: Any
+    F0: Any
+    F1: Any
+
+
+class ShapeStep(NamedTuple):
+    """How a step in one shape of a lobe changes its light: W, V by chain per unit step.
+
+    m : specular group;  name : alpha, alpha_x, alpha_y or turn;  low, high : bounds of the step (of ln alpha, or rad)
+    """
+
+    m: int
+    name: str
+    W: dict
+    V: dict
+    low: float = -0.35
+    high: float = 0.35
+
+
+class Doubt(NamedTuple):
+    """A change of the lobes' light as large as one standard deviation of what its cause leaves open: W, V by chain."""
+
+    cause: str
+    W: dict
+    V: dict
+
+
+@dataclass(eq=False)
+class SpecularTerms:
+    """What was traced for M specular groups: light is a polynomial in their rho_s, chain by chain (K of them).
+
+    A tile shows its group as seen by way of `tile_chain` (0: at once, else through mirrors), and a glossy one its lobe
+    besides:
+        B_t = power_t rho_g (D_t E + G_t b) + sum_k power_k (V_k E + W_k b)_t,      power_k = prod_m rho_s[m] ** k_m
+    and likewise F, D, G, D_t are sums over the chains of the light's ways. `bend` says how shapes of lobes change W and
+    V: shapes are adjusted linearly here, and traced again outside.
+
+    groups : (M,) numbers;  chains : lib.light.chains.Chains;  rho_s : (M, C), NaN where unknown;  tile_chain : (T,) int
+    F, D : chain -> (N, N) CSR, (N, L);  G, D_tile : chain -> (T, N) CSR, (T, L);  W, V : likewise, of the lobes
+    halves : ((W, V), (W, V)) from disjoint rays;  spread : (G, D_tile) by chain, as large as their sampling error
+    """
+
+    groups: tuple
+    chains: Any
+    F: dict
+    D: dict
+    G: dict
+    D_tile: dict
+    tile_chain: np.ndarray
+    W: dict
+    V: dict
+    rho_s: np.ndarray
+    bend: list = field(default_factory=list)
+    doubts: list = field(default_factory=list)
+    halves: tuple = ()
+    spread: tuple = ()
+    _mixtures: dict = field(default_factory=dict, repr=False)
+
+    def mixture(self, name, base):
+        """The sum over the chains of the part `name` and of base, ready for any rho_s."""
+        key = name, id(base)
+        if key not in self._mixtures:
+            # base is kept, so that its id stays its own
+            self._mixtures[key] = Mixture(base, getattr(self, name)), base
+        return self._mixtures[key][0]
+
+
+@dataclass(eq=False)
+class Problem:
+    """What the photograph says and what geometry knows. C channels, N patches, T tiles, G groups, L lamps.
+
+    F : (N, N) array or CSR;  D : (N, L);  patch_group : (N,) int;  area : (N,)
+    G : (T, N) CSR with the sub-cell correction of the sources, as F has it;  G_plain : without it;  D_tile : (T, L)
+    tile_group, tile_object : (T,) int;  start : (T + 1,) into pixels;  pixels : (M, C) display
+    emittance : (L, C), NaN where unknown;  rho : (G, C), NaN where unknown, 0 for lamps, the given value for references
+    halves : None where only one set of rays is known;  group_area : (G,)
+    specular : light by way of mirrors and glossy surfaces, None where every group is diffuse
+    variance : (T, 1) display, of what is known not to be explained (a texture), or None
+    """
+
+    F: Any
+    D: np.ndarray
+    patch_group: np.ndarray
+    area: np.ndarray
+    G: Any
+    G_plain: Any
+    D_tile: np.ndarray
+    tile_group: np.ndarray
+    tile_object: np.ndarray
+    start: np.ndarray
+    pixels: np.ndarray
+    groups: tuple
+    lamps: tuple
+    emittance: np.ndarray
+    rho: np.ndarray
+    metric: Metric
+    fit_gamma: bool
+    halves: Halves | None = None
+    group_area: np.ndarray | None = None
+    specular: SpecularTerms | None = None
+    variance: np.ndarray | None = None
+
+    def __post_init__(self):
+        self.photograph = TilePixels(self.pixels, self.start)
+        self.pixel_noise = _pixel_noise(self.pixels, self.start)
+
+    @property
+    def channels(self):
+        return self.pixels.shape[1]
+
+    @property
+    def n_pixels(self):
+        return np.diff(self.start)
+
+    @property
+    def known_groups(self):
+        """Numbers of the groups whose reflectance is given: lamps and references."""
+        return {int(g) for g in np.flatnonzero(~np.isnan(self.rho).any(axis=1))}
+
+    @property
+    def seen_groups(self):
+        """(G,) bool: a tile shows the group."""
+        return np.isin(np.arange(len(self.groups)), self.tile_group)
+
+
+def _pixel_noise(pixels, start):
+    """Robust display noise of one pixel from differences of neighbours inside tiles."""
+    step = np.diff(pixels, axis=0)
+    inner = np.ones(len(step), bool)
+    inner[start[1:-1] - 1] = False
+    if not inner.any():
+        return 0.01
+    return max(1.4826 * float(np.median(np.abs(step[inner]))) / np.sqrt(2), LEAST_NOISE)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """rho : (G, C);  E : (L, C);  B : (T, C) radiosity of the tiles;  b : (N, C) reflected radiosity of the patches
+    rho_s : (M, C) of the specular groups;  bend : (n,) steps in the shapes of the lobes"""
+
+    rho: np.ndarray
+    E: np.ndarray
+    gamma: float
+    B: np.ndarray
+    b: np.ndarray
+    rho_s: np.ndarray | None = None
+    bend: np.ndarray | None = None
+
+
+@dataclass(eq=False)
+class Result:
+    """A fit. sigma_* : standard deviations, shaped as the values, None where none were found.
+
+    tile_residual : (T, C) display, synthesis minus photograph;  residual : of the light balance
+    misfit : typical tile residual over what pixel noise and sampling explain;  shares : median relative sigma by cause
+    """
+
+    state: State
+    converged: bool
+    iterations: int
+    rmse: float
+    sigma_rho: np.ndarray | None = None
+    sigma_E: np.ndarray | None = None
+    sigma_gamma: float | None = None
+    sigma_rho_s: np.ndarray | None = None
+    sigma_bend: np.ndarray | None = None
+    tile_residual: np.ndarray | None = None
+    residual: float | None = None
+    misfit: float = 0.0
+    shares: dict = field(default_factory=dict)
+    warnings: list = field(default_factory=list)
+
+
+# -- what is seen, and how far a synthesis is from it
+
+
+def metric_of(problem: Problem, gamma) -> Metric:
+    """Where photograph and synthesis are compared, at this gamma."""
+    if problem.metric.transfer.kind == "gamma":
+        return Metric(Transfer("gamma", gamma))
+    return problem.metric
+
+
+def observe(problem: Problem, gamma):
+    """Linear means of the tiles and their derivatives in gamma, (T, C) each."""
+    return problem.photograph.linear(metric_of(problem, gamma).transfer)
+
+
+def display_residual(problem: Problem, B, gamma):
+    """Synthesis minus photograph in display values, and its derivatives in B and in gamma: (T, C) each."""
+    metric = metric_of(problem, gamma)
+    seen, seen_slope = observe(problem, gamma)
+    residual = metric.value(B) - metric.value(seen)
+    slope = metric.slope(B)
+    by_gamma = np.zeros_like(residual)
+    if problem.fit_gamma:
+
+        def fixed(B):  # d (B ** (1 / gamma)) / d gamma at fixed B: the factor -1 / gamma^2 that eq. 4.2 lacks
+            B = np.maximum(B, 1e-12)
+            return -metric.value(B) * np.log(B) / gamma**2
+
+        by_gamma = fixed(B) - fixed(seen) - metric.slope(seen) * seen_slope
+    return residual, slope, by_gamma
+
+
+def weights(problem: Problem, residual):
+    """(T, C) weights of the tiles: one over their variance.
+
+    Pixel noise falls with the tile's size; what the model lacks does not. Residuals far out (a texture, a reflection
+    that the model does not know) are held down (Huber at 2.5).
+    """
+    typical = 1.4826 * float(np.median(np.abs(residual))) if residual.size else 0.0
+    variance = problem.pixel_noise**2 / problem.n_pixels[:, None] + min(max(typical, 5e-4), 0.05) ** 2
+    if problem.variance is not None:
+        variance = variance + problem.variance
+    return np.minimum(1, 2.5 * np.sqrt(variance) / np.maximum(np.abs(residual), 1e-12)) / variance
+
+
+def group_mean(problem: Problem, values):
+    """Pixel-weighted mean of values (T, K) over each group's tiles, (G, K); NaN for a group never seen."""
+    w = problem.n_pixels.astype(float)
+    total = np.zeros((len(problem.groups), values.shape[1]))
+    np.add.at(total, problem.tile_group, values * w[:, None])
+    count = np.bincount(problem.tile_group, w, minlength=len(problem.groups))[:, None]
+    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+
+
+def group_rmse(problem: Problem, residual):
+    """Display RMSE of each group's tiles, (G,); NaN where the group is not seen."""
+    return np.sqrt(group_mean(problem, (residual**2).mean(axis=1, keepdims=True))[:, 0])
+
+
+def rmse(problem: Problem, residual):
+    """Display RMSE over all pixels of the tiles."""
+    w = np.broadcast_to(problem.n_pixels[:, None], residual.shape)
+    return float(np.sqrt((w * residual**2).sum() / max(w.sum(), 1)))
+
+
+# -- where the search begins, and what stands in for what is not seen
+
+
+def initialise(problem: Problem, gamma):
+    """Reflectances (G, C) and lamps (L, C) by eq. 4.3: rho_i is the mean of P ** gamma over the pixels of group i.
+
+    A group never seen starts at the seen groups' mean by area, an unknown lamp at the power that suits the picture's
+    mean.
+    """
+    seen, _ = observe(problem, gamma)
+    mean = group_mean(problem, seen)
+    rho = np.where(np.isnan(problem.rho), np.clip(mean, 0.02, 0.9), problem.rho)
+    prior, _ = unseen_prior(problem, rho)
+    rho = np.where(np.isnan(rho), prior, rho)
+    E = np.where(np.isnan(problem.emittance), 1.0, problem.emittance)
+    unknown = np.isnan(problem.emittance)
+    if unknown.any():
+        # one power for all unknown lamps so that the picture's mean is right at rho = 0.5
+        level = (problem.D_tile @ E).mean(axis=0)
+        E = np.where(unknown, np.maximum(2 * seen.mean(axis=0) / np.maximum(level, 1e-12), 1e-6), E)
+    return rho, E
+
+
+def unseen_prior(problem: Problem, rho):
+    """Mean of the seen groups by area and their spread, per channel: what groups never seen may be (SCENE.md 3)."""
+    free = np.isnan(problem.rho).any(axis=1)
+    has = problem.seen_groups
+    use = has & free if (has & free).any() else has
+    if not use.any():
+        return np.full(problem.channels, UNSEEN_MEAN), np.full(problem.channels, UNSEEN_SPREAD)
+    w = problem.group_area[use][:, None]
+    mean = (rho[use] * w).sum(axis=0) / w.sum()
+    spread = np.sqrt(((rho[use] - mean) ** 2 * w).sum(axis=0) / w.sum())
+    return mean, np.maximum(spread, LEAST_SPREAD)
+
+
+def scale(problem: Problem) -> str:
+    """What fixes the scale of the light (SCENE.md 4)."""
+    if not np.isnan(problem.emittance).all():
+        return "lamps"
+    named = [g for g in problem.known_groups if problem.groups[g] not in problem.lamps]
+    return "reference" if named else "interreflection"

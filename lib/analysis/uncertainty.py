@@ -1,0 +1,152 @@
+"""The standard deviations of a fit.
+
+Tile residuals (pixel noise, texture, the tiles' own sampling) enter by the sandwich formula. Then, each as a change of
+all tiles pushed through the same normal equations: the patches' discretisation (half of what the sub-cell correction
+changes), the sampling of the form factors (two disjoint halves of the rays), and what is open in the lobes. Groups
+never seen enter through their prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lib.analysis.equations import Equations
+from lib.analysis.problem import MISFIT, Problem, Result, weights
+from lib.analysis.transport import TileLight
+
+SQUARED_MEDIAN = 0.455  # of a normal variable's square: median(x^2) / 0.455 is a robust variance
+LEAST = 0.02  # smaller values are as unsure as this one, relative to it
+
+
+def uncertainty(problem: Problem, at: Equations, result: Result):
+    """Write sigma of all parameters, their shares by cause and the misfit into result, found at `at`."""
+    normal = _Normal(problem, at)
+    cov = normal.sandwich()
+    independent, common = _tile_errors(problem, at, result), _common_errors(problem, at, normal)
+    for error in independent:
+        cov = cov + normal.spread(error)
+    for cause, delta in common.items():
+        size, typical = _at_least_typical(delta, normal.theta, at, problem)
+        cov = cov + np.diag((size * np.maximum(np.abs(normal.theta), LEAST)) ** 2)
+        result.shares[cause] = typical
+    if result.misfit > MISFIT:
+        cov = cov * result.misfit**2  # what noise does not explain may be anything: every value is as uncertain
+    sigma = np.maximum(np.sqrt(np.maximum(np.diag(cov), 0)), normal.loose)
+    _share_out(sigma, at, result)
+
+
+class _Normal:
+    """The normal equations at the end of a fit."""
+
+    def __init__(self, problem, at):
+        self.at, self.channels, self.n = at, problem.channels, at.layout.size
+        self.theta = at.layout.pack(at.state)
+        self.J = at.jacobian()
+        self.weight = weights(problem, at.residual).reshape(-1)
+        self.prior = np.diag(at.prior()[1])
+        self.pixel = np.repeat(problem.pixel_noise**2 / problem.n_pixels, problem.channels)
+        H = self.J.T @ (self.weight[:, None] * self.J) + self.prior
+        self.inverse, self.loose = _inverse(H, self.theta)
+
+    def _by_tile(self, rows):
+        """(T C, n) -> (T, n): the channels of one tile go together."""
+        return rows.reshape(-1, self.channels, self.n).sum(axis=1)
+
+    def sandwich(self):
+        """Covariance (n, n) from the tiles' own residuals and their pixel noise."""
+        score = self._by_tile((self.weight * self.at.residual.reshape(-1))[:, None] * self.J)
+        noise = self.J.T @ ((self.weight**2 * self.pixel)[:, None] * self.J)
+        return self.inverse @ (score.T @ score + noise + self.prior) @ self.inverse
+
+    def spread(self, error):
+        """Covariance (n, n) that errors (T, C) of the tiles' display values leave, independent from tile to tile."""
+        each = self._by_tile((self.weight * error.reshape(-1))[:, None] * self.J)
+        return self.inverse @ (each.T @ each) @ self.inverse
+
+    def push(self, dB):
+        """(n,) change of the parameters that a change dB (T, C) of the synthesis causes."""
+        return -self.inverse @ (self.J.T @ (self.weight * (self.at.slope * dB).reshape(-1)))
+
+
+def _rho_tile(problem, at):
+    """(T, C) what tiles show of their irradiance."""
+    light = at.light.at(at.state.rho_s)
+    return light.matrices.seen * at.state.rho[problem.tile_group]
+
+
+def _tile_errors(problem, at, result):
+    """Errors (T, C) in display values that are independent from tile to tile; sets the misfit beside them."""
+    state, rho_tile, found = at.state, _rho_tile(problem, at), []
+    if problem.specular is not None and problem.specular.spread:
+        found.append(at.slope * rho_tile * at.light.bent(*problem.specular.spread, state.E, state.b))
+    if problem.halves:
+        sampling = at.slope * 0.5 * rho_tile * ((problem.halves.G0 - problem.halves.G1) @ state.b)
+        found.append(sampling)
+        noise = problem.pixel_noise**2 / problem.n_pixels[:, None]
+        expected = float(np.sqrt(np.median(sampling**2 / SQUARED_MEDIAN + noise)))
+        typical = float(np.sqrt(np.median(at.residual**2) / SQUARED_MEDIAN))
+        result.misfit = typical / max(expected, 1e-3)
+    return found
+
+
+def _common_errors(problem, at, normal):
+    """{cause: change (n,) of the parameters, one standard deviation}: causes that move all tiles together."""
+    state, rho_tile = at.state, _rho_tile(problem, at)
+    found = {"discretisation": 0.5 * normal.push(rho_tile * ((problem.G - problem.G_plain) @ state.b))}
+    for doubt in problem.specular.doubts if problem.specular is not None else ():
+        found[doubt.cause] = normal.push(at.light.bent(doubt.W, doubt.V, state.E, state.b))
+    if problem.halves:
+        b0, b1 = (
+            TileLight(problem, F, problem.G, state.rho_s).solve(state.rho, state.E, state.b)[0]
+            for F in (problem.halves.F0, problem.halves.F1)
+        )
+        found["form factors"] = 0.5 * normal.push(rho_tile * (problem.G @ (b0 - b1)))
+    return found
+
+
+def _at_least_typical(delta, theta, at, problem):
+    """Relative size (n,) of a change, and its median over the reflectances of seen groups.
+
+    One realisation can vanish by chance: no reflectance's is below the median of them all.
+    """
+    n = len(at.layout.rho)
+    seen = np.isin(at.layout.rho[:, 0], problem.tile_group)
+    size = np.abs(delta) / np.maximum(np.abs(theta), LEAST)
+    typical = float(np.median(size[:n][seen])) if seen.any() else 0.0
+    size[:n] = np.where(seen, np.maximum(size[:n], typical), size[:n])
+    return size, typical
+
+
+def _share_out(sigma, at, result):
+    """The vector of all parameters' sigma (n,) into the arrays of the result."""
+    state, layout = at.state, at.layout
+    n_rho, n_E, n_s, n_bend = layout.ends
+    result.sigma_rho, result.sigma_E = np.zeros(state.rho.shape), np.zeros(state.E.shape)
+    result.sigma_rho[tuple(layout.rho.T)] = sigma[:n_rho]
+    result.sigma_E[tuple(layout.E.T)] = sigma[n_rho:n_E]
+    if state.rho_s is not None:
+        result.sigma_rho_s = np.zeros(state.rho_s.shape)
+        result.sigma_rho_s[tuple(layout.rho_s.T)] = sigma[n_E:n_s]
+        result.sigma_bend = sigma[n_s:n_bend]
+    result.sigma_gamma = float(sigma[-1]) if layout.gamma else None
+
+
+def _inverse(H, theta):
+    """Inverse of the normal matrix without its null directions, and the standard deviations (n,) that those leave.
+
+    A direction in which nothing changes the picture is as unsure as the values themselves.
+    """
+    diagonal = np.diag(H)
+    alive = diagonal > 1e-14 * max(float(diagonal.max(initial=0.0)), 1e-300)
+    scale = np.where(alive, 1 / np.sqrt(np.where(alive, diagonal, 1.0)), 0.0)
+    value, vector = np.linalg.eigh(H * np.outer(scale, scale))
+    size = np.maximum(np.abs(theta), LEAST)
+    loose = np.where(alive, 0.0, size)
+    weak = value < 1e-8 * max(float(value.max(initial=0.0)), 1e-300)
+    for v in vector[:, weak].T:
+        relative = np.abs(scale * v) / size
+        if relative.max() > 0:
+            loose = np.maximum(loose, size * relative / relative.max())
+    good = vector[:, ~weak] / np.sqrt(value[~weak])
+    good = scale[:, None] * good
+    return good @ good.T, loose

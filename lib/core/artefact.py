@@ -1,0 +1,189 @@
+"""Files under build/ are whole or absent; each kind has one reader and one writer, and the reader checks.
+
+`writing` hands out a temporary name and renames it at the end.  A killed stage leaves at most a temporary
+file behind; its name begins with a dot and holds `.partial-<pid>`, nothing reads it, and the next run
+removes it (`remove_partials`, called by lib/planning/plan.py).
+"""
+
+import contextlib
+import csv
+import json
+import math
+import os
+import re
+import zipfile
+import zlib
+from pathlib import Path
+
+from lib.core.stage import BadInput
+
+PARTIAL = re.compile(r"^\..*\.partial-(\d+)(\.[^.]*)?$")
+
+
+def _partial(path):
+    """The temporary name of path: same folder (so the rename is atomic), same extension (writers look at it)."""
+    path = Path(path)
+    return path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}")
+
+
+@contextlib.contextmanager
+def writing_all(*paths):
+    """Several outputs that appear together: yields their temporary names, renames all of them at the very end.
+
+    RuntimeError if one was not written.
+    """
+    partials = [_partial(path) for path in paths]
+    for path in paths:
+        os.makedirs(Path(path).parent, exist_ok=True)
+    try:
+        yield tuple(str(p) for p in partials)
+        for partial, path in zip(partials, paths, strict=True):
+            if not partial.exists():
+                raise RuntimeError(f"{path} was promised but not written")
+        for partial, path in zip(partials, paths, strict=True):
+            os.replace(partial, path)
+    finally:
+        for partial in partials:
+            with contextlib.suppress(FileNotFoundError):
+                partial.unlink()
+
+
+@contextlib.contextmanager
+def writing(path):
+    """One output: `with writing("b.npz") as partial: np.savez(partial, B=B)`."""
+    with writing_all(path) as (partial,):
+        yield partial
+
+
+def _alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        pass
+    return True
+
+
+def remove_partials(folder):
+    """Remove what stages that were killed left in folder; files of running stages stay."""
+    for entry in sorted(Path(folder).glob(".*.partial-*")):
+        match = PARTIAL.match(entry.name)
+        if match and entry.is_file() and not _alive(int(match[1])):
+            entry.unlink(missing_ok=True)
+
+
+def _plain(value):
+    """NumPy's arrays and scalars, paths and tuples as JSON has them."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, (set, frozenset)):
+        return sorted(value)
+    raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+def dumps_json(value) -> str:
+    """JSON on one line; NaN and infinity are a ValueError, for JSON has neither."""
+    return json.dumps(value, default=_plain, allow_nan=False, ensure_ascii=False)
+
+
+def write_json(path, value):
+    """Whole or absent; short lists stay on one line.  A NaN or an infinity is a ValueError, and nothing is written."""
+    dumps_json(value)  # fails before the file is touched
+    text = json.dumps(value, indent=1, default=_plain, allow_nan=False, ensure_ascii=False)
+    text = re.sub(r"\[\s+([^\[\]{}\"]*?)\s+\]", lambda m: "[" + re.sub(r"\s+", " ", m[1]) + "]", text)
+    with writing(path) as partial, open(partial, "w", encoding="utf-8") as file:
+        file.write(text + "\n")
+
+
+def read_json(path):
+    """Any JSON value.  BadInput: not there, not UTF-8, not JSON, a NaN or infinity, a name used twice."""
+
+    def refuse(word):
+        raise ValueError(f"{word} is not a number")
+
+    def once(pairs):
+        value = {}
+        for key, item in pairs:
+            if key in value:
+                raise ValueError(f"{key!r} stands there twice")
+            value[key] = item
+        return value
+
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise BadInput(f"{path}: there is no such file") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: not UTF-8: {error.reason} at byte {error.start}") from None
+    try:
+        return json.loads(text, parse_constant=refuse, object_pairs_hook=once)
+    except RecursionError:
+        raise BadInput(f"{path}: not readable JSON: nested too deep") from None
+    except ValueError as error:
+        raise BadInput(f"{path}: not readable JSON: {error}") from None
+
+
+def write_npz(path, **arrays):
+    """Arrays by name, whole or absent."""
+    import numpy as np
+
+    with writing(path) as partial, open(partial, "wb") as file:
+        np.savez(file, **arrays)
+
+
+def read_npz(path, *keys) -> dict:
+    """The arrays of a .npz as a dict, all of them read; those named in `keys` must be there."""
+    import numpy as np
+
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if not hasattr(file, "files"):
+                raise ValueError("one array, not an archive")
+            arrays = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise BadInput(f"{path}: there is no such file") from None
+    except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
+        raise BadInput(f"{path}: not a readable .npz file: {error}") from None
+    missing = [key for key in keys if key not in arrays]
+    if missing:
+        raise BadInput(*(f"{path}: {key}: the array is missing" for key in missing))
+    return arrays
+
+
+# ---- matches.csv ----
+
+MATCHES = ("left_label", "right_label", "similarity")
+
+
+def read_matches(path) -> list[tuple[int, int, float]]:
+    """[(left label, right label, similarity)] of matches.csv, best first.  BadInput names line, column and value."""
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            rows = list(csv.reader(file, strict=True))
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: not a readable CSV file: {error}") from None
+    if not rows or tuple(rows[0]) != MATCHES:
+        raise BadInput(f"{path}: header: {','.join(rows[0]) if rows else 'nothing'!r} is not {','.join(MATCHES)!r}")
+    matches, seen = [], (set(), set())
+    for line, row in enumerate(rows[1:], 2):
+        try:
+            match = int(row[0]), int(row[1]), float(row[2])
+            if len(row) != 3 or not math.isfinite(match[2]):
+                raise ValueError
+        except (ValueError, IndexError):
+            raise BadInput(f"{path}: line {line}: {','.join(row)!r} is not two labels and a number") from None
+        for name, label, known in zip(MATCHES, match, seen, strict=False):
+            if label in known:
+                raise BadInput(f"{path}: line {line}: {name}: {label} stands there twice")
+            known.add(label)
+        matches.append(match)
+    return matches
+
+
+def write_matches(path, matches):
+    """To a path as it is; matches : [(left label, right label, similarity)]."""
+    lines = [",".join(MATCHES), *(f"{left},{right},{similarity:.6f}" for left, right, similarity in matches)]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")

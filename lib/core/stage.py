@@ -1,0 +1,214 @@
+"""What every stage shares: its options, bad input, the run of `main`, a progress bar.
+
+Only the standard library is imported here, so that `stages/x.py --help` needs nothing installed.
+A stage begins
+
+    import sys
+    from pathlib import Path
+    sys.path[0] = str(Path(__file__).resolve().parents[1])     # not stages/: its names would hide packages
+    from lib.core import stage
+
+and ends
+
+    if __name__ == "__main__":
+        stage.run(main, options())
+"""
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+
+
+class BadInput(Exception):
+    """What the user gave cannot be used.  Each problem is one line `FILE: FIELD: value ...`.
+
+    >>> BadInput("m.json: group 'wall': rho_d = 1.2 is outside [0, 1]").problems
+    ("m.json: group 'wall': rho_d = 1.2 is outside [0, 1]",)
+    """
+
+    def __init__(self, *problems):
+        self.problems = tuple(" ".join(str(p).split("\n")) for p in problems)
+        super().__init__("\n".join(self.problems))
+
+
+MENDABLE = (
+    FileNotFoundError,
+    PermissionError,
+    IsADirectoryError,
+    NotADirectoryError,
+)  # by the user, if they name a file
+
+
+def run(main, parser, argv=None):
+    """Parse argv and call main(opt).
+
+    Bad input: one line per problem on stderr, exit status 2.  A bug keeps its traceback.  Without argv this is the
+    process's own command, and the process ends here.
+    """
+    name = os.path.basename(parser.prog)
+    # one line, no usage
+    parser.error = lambda message: parser.exit(2, f"{name}: {message} (--help lists the options)\n")
+    opt = parser.parse_args(argv)
+    _forget_missing(opt)
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        main(opt)
+    except BadInput as bad:
+        problems = bad.problems
+    except MENDABLE as error:
+        if error.filename is None:
+            raise
+        problems = (f"{os.fsdecode(error.filename)}: {error.strerror}",)
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+    else:
+        if argv is None:
+            _end_at_once()
+        return
+    for problem in problems:
+        print(f"{name}: {problem}", file=sys.stderr)
+    sys.exit(2)
+
+
+def _terminate(*_):
+    sys.exit(128 + signal.SIGTERM)  # an exception, so that `artefact.writing` removes its temporary files
+
+
+def _end_at_once():
+    """End the process without taking the interpreter down: files are written, and the system frees the rest.
+
+    Freeing it object by object takes 0.1 s, and 0.4 s where numba's kernels are loaded.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
+
+
+# ---- options ----
+
+
+def parser(doc, *, reads="", may_read="", may_lack="", writes="", may_write="") -> argparse.ArgumentParser:
+    """A stage's parser: its docstring as --help, a file for each name, and --report.
+
+    reads, writes : names of files that must be given, as words;  may_read, may_write : those that need not
+    may_lack : files that another stage may write (pipeline.yaml, may_write).  The option names where such a file would
+        be; `run` makes it None where the file is not there
+    """
+    result = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for names, required in ((reads, True), (f"{may_read} {may_lack}", False), (writes, True), (may_write, False)):
+        for name in names.split():
+            result.add_argument(option_of(name), required=required)
+    result.add_argument("--report")
+    result.set_defaults(_inputs=[*reads.split(), *may_read.split(), *may_lack.split()], _may_lack=may_lack.split())
+    return result
+
+
+def _forget_missing(opt):
+    for name in getattr(opt, "_may_lack", ()):
+        path = getattr(opt, name)
+        if path and not os.path.exists(path):
+            setattr(opt, name, None)
+
+
+def inputs(opt) -> list[str]:
+    """The files that a stage was given to read."""
+    return [getattr(opt, name) for name in opt._inputs if getattr(opt, name)]
+
+
+def arguments(opt) -> dict:
+    """All options as the report shows them."""
+    return {name: value for name, value in vars(opt).items() if not name.startswith("_")}
+
+
+def option_of(name) -> str:
+    """The option for a name.
+
+    >>> option_of("photograph_right")
+    '--photograph-right'
+    """
+    return "--" + name.replace("_", "-")
+
+
+def whole(low, high=None):
+    """The type of an option that is a whole number of at least `low` (and at most `high`).
+
+    >>> whole(1)("7")
+    7
+    """
+    return _ranged(int, "a whole number", low, high)
+
+
+def real(low, high=float("inf"), *, open_low=False, open_high=True):
+    """The type of an option that is a number from `low` to `high`; an open end is left out.
+
+    >>> real(0, 1)("0.5")
+    0.5
+    """
+    return _ranged(float, "a number", low, high, open_low, open_high)
+
+
+def _ranged(kind, what, low, high, open_low=False, open_high=False):
+    def parsed(text):
+        try:
+            value = kind(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}") from None
+        over_low = value > low if open_low else value >= low
+        under_high = high is None or (value < high if open_high else value <= high)
+        if over_low and under_high:
+            return value
+        if high is None:
+            raise argparse.ArgumentTypeError(f"{text} is less than {low}")
+        opening, closing = "(" if open_low else "[", ")" if open_high else "]"
+        raise argparse.ArgumentTypeError(f"{text} is outside {opening}{low}, {high}{closing}")
+
+    return parsed
+
+
+def json_option(text):
+    """An option that carries facts: `type=stage.json_option`.
+
+    >>> json_option('{"lamp": [4, 4, 4]}')
+    {'lamp': [4, 4, 4]}
+    """
+
+    def refuse(word):
+        raise ValueError(word)
+
+    try:
+        return json.loads(text, parse_constant=refuse)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not JSON") from None
+
+
+# ---- what a user sees meanwhile ----
+
+
+class Bar:
+    """A bar on stderr for work that reports the share it has done: bar(0.25); it goes away at 1.
+
+    Silent unless stderr is a terminal.
+    """
+
+    def __init__(self, label):
+        self.label, self.begin, self.shown = label, time.monotonic(), None
+
+    def __call__(self, share):
+        if not sys.stderr.isatty():
+            return
+        now = time.monotonic()
+        if share >= 1:
+            if self.shown:
+                self._show("")
+        elif now - (self.shown or self.begin) > 0.1:
+            self.shown = now
+            left = (now - self.begin) / max(share, 1e-9) * (1 - share)
+            self._show(f"{self.label} [{'#' * int(30 * share):30}] {100 * share:.0f} %, {left:.0f} s left ")
+
+    @staticmethod
+    def _show(text):
+        sys.stderr.write(f"\r{text}\033[K")
+        sys.stderr.flush()

@@ -1,0 +1,1 @@
+"""What is given, read and checked: images, cameras and lenses, the model, the transfer function, materials; and rays through it."""

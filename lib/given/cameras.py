@@ -1,0 +1,176 @@
+"""Pinhole cameras, and mrcal's text files of them.
+
+    camera = read_cameramodel("left.posed.cameramodel")
+    q = camera.project(p_world)                 # (N, 2) px
+    v_world = camera.rays(q)                    # (N, 3) unit
+
+Axes: x right, y down, z forward; pixel (0, 0) is the centre of the top-left
+pixel. mrcal itself is not needed: its files are Python literals.
+"""
+
+import ast
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.core.stage import BadInput
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera posed in the model's frame.
+
+    K : (3, 3) px               [[fx, s, cx], [0, fy, cy], [0, 0, 1]]
+    width, height : px
+    T_cam_world : (4, 4)        rigid; world (= model) coordinates in metres to camera coordinates
+    """
+
+    K: np.ndarray
+    width: int
+    height: int
+    T_cam_world: np.ndarray
+
+    @property
+    def centre(self):
+        """(3,) m, world."""
+        return -self.T_cam_world[:3, :3].T @ self.T_cam_world[:3, 3]
+
+    def points(self, p_world):
+        """(N, 3) m, world -> (N, 3) m, camera. The centre is subtracted first: far from the origin nothing cancels later."""
+        return (np.asarray(p_world, float) - self.centre) @ self.T_cam_world[:3, :3].T
+
+    def project(self, p_world):
+        """(N, 3) m, world -> (N, 2) px; nan for a point that is not in front of the camera.
+
+        >>> camera = Camera(np.array([[100.0, 0, 50], [0, 100, 40], [0, 0, 1]]), 101, 81, np.eye(4))
+        >>> camera.project(np.array([[0.0, 0, 2], [1, 0, 2], [0, 0, -1]]))
+        array([[ 50.,  40.],
+               [100.,  40.],
+               [ nan,  nan]])
+        """
+        p = self.points(p_world)
+        z = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
+        return ((p / z) @ self.K.T)[..., :2]
+
+    def directions(self, q):
+        """(N, 2) px -> (N, 3), camera frame, scaled so that z = 1: depth times this is the point."""
+        q = np.asarray(q, float)
+        y = (q[..., 1] - self.K[1, 2]) / self.K[1, 1]
+        x = (q[..., 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0]
+        return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+    def rays(self, q):
+        """(N, 2) px -> (N, 3) unit directions, world, from the centre through the pixel."""
+        v = self.directions(q)
+        v /= np.linalg.norm(v, axis=-1, keepdims=True)
+        return v @ self.T_cam_world[:3, :3]
+
+    def pixels(self):
+        """(height, width, 2) px: the centre (x, y) of every pixel."""
+        x, y = np.meshgrid(np.arange(self.width, dtype=float), np.arange(self.height, dtype=float))
+        return np.stack([x, y], axis=-1)
+
+
+def matrix_from_rt(rt):
+    """(6,) Rodrigues vector, translation -> (4, 4) rigid.
+
+    >>> matrix_from_rt([0, 0, np.pi / 2, 1, 2, 3]).round(9) + 0.0
+    array([[ 0., -1.,  0.,  1.],
+           [ 1.,  0.,  0.,  2.],
+           [ 0.,  0.,  1.,  3.],
+           [ 0.,  0.,  0.,  1.]])
+    """
+    r = np.asarray(rt[:3], float)
+    angle = np.linalg.norm(r)
+    cross = np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
+    sinc = np.sinc(angle / np.pi)  # sin(a) / a
+    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2  # (1 - cos a) / a^2
+    T = np.eye(4)
+    T[:3, :3] += sinc * cross + versine * cross @ cross
+    T[:3, 3] = rt[3:]
+    return T
+
+
+def rt_from_matrix(T):
+    """(4, 4) rigid -> (6,) Rodrigues vector of length at most pi, translation. By quaternion: steady at 0 and at pi."""
+    from scipy.spatial.transform import Rotation
+
+    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
+
+
+def _numbers(path, content, key, count):
+    value = content.get(key)
+    if not isinstance(value, (list, tuple)) or (count is not None and len(value) != count):
+        raise BadInput(f"{path}: {key}: {count} numbers are needed, got {value!r}")
+    for number in value:
+        if (
+            isinstance(number, bool) or not isinstance(number, (int, float)) or not abs(number) < 1e300
+        ):  # also integers of 400 digits
+            raise BadInput(f"{path}: {key}: {number!r:.80} is not a finite number")
+    return np.array(value, float)
+
+
+def parse(path, count_of):
+    """(lens, intrinsics (n,), (4, 4) reference to camera, width, height) of a .cameramodel file, checked.
+
+    count_of : lens -> how many intrinsics it has, or None for any number; raises BadInput for a lens that the caller does not take
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            content = ast.literal_eval(file.read().strip())
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        raise BadInput(f"{path}: not a camera model: {str(error).splitlines()[0]}") from None
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: not a camera model: a {type(content).__name__} instead of a dictionary")
+
+    lens = content.get("lensmodel")
+    if not isinstance(lens, str):
+        raise BadInput(f"{path}: lensmodel: {lens!r} is not a name")
+    intrinsics = _numbers(path, content, "intrinsics", count_of(lens))
+    size = _numbers(path, content, "imagersize", 2)
+    # mrcal calls this rt_fromref, later rt_cam_ref: reference to camera
+    rt = _numbers(path, content, "extrinsics" if "extrinsics" in content else "rt_cam_ref", 6)
+    for name, focal in zip(("fx", "fy"), intrinsics):
+        if focal <= 0:
+            raise BadInput(f"{path}: intrinsics: {name} = {focal:g} is not positive")
+    for name, length in zip(("width", "height"), size):
+        if length < 1 or length != int(length):
+            raise BadInput(f"{path}: imagersize: {name} = {length:g} is not a whole positive number")
+    return lens, intrinsics, matrix_from_rt(rt), int(size[0]), int(size[1])
+
+
+def read_cameramodel(path) -> Camera:
+    """The pinhole camera of a .cameramodel file (mrcal's text format).
+
+    Any other lens is refused: photographs are made pinhole before the analysis.
+    """
+
+    def four(lens):
+        if lens != "LENSMODEL_PINHOLE":
+            raise BadInput(
+                f"{path}: lensmodel: {lens} is not a pinhole; undistort the photograph first (LENSMODEL_PINHOLE)"
+            )
+        return 4
+
+    _, (fx, fy, cx, cy), T, width, height = parse(path, four)
+    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), width, height, T)
+
+
+def write_cameramodel(path, camera):
+    """Write a pinhole camera as mrcal would; numbers survive the round trip to the last bit of K and 1e-15 of the pose."""
+    if camera.K[0, 1] != 0:
+        raise ValueError(f"skew {camera.K[0, 1]} has no place in LENSMODEL_PINHOLE")
+    row = lambda values: " ".join(f"{value!r}," for value in values)
+    intrinsics = [float(camera.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
+    extrinsics = [float(value) for value in rt_from_matrix(camera.T_cam_world)]
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(
+            "{\n    'lensmodel':  'LENSMODEL_PINHOLE',\n\n"
+            "    # intrinsics are fx,fy,cx,cy\n"
+            f"    'intrinsics': [ {row(intrinsics)}],\n\n"
+            "    # extrinsics are rt_fromref: the model's frame to the camera\n"
+            f"    'extrinsics': [ {row(extrinsics)}],\n\n"
+            f"    'imagersize': [ {row([camera.width, camera.height])}],\n}}\n"
+        )

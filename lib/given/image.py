@@ -1,0 +1,224 @@
+"""Image files: photographs, label images, pictures of light.  The only module that knows codecs.
+
+Arrays are indexed [y, x] or [y, x, channel], channels in the order R, G, B.
+"""
+
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.core.stage import BadInput
+from lib.given.transfer import display_of_linear
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A photograph as a stage reads it.
+
+    values : (H, W, C) float64, C = 1 or 3; display-referred in [0, 1], or linear light (EXR) that may exceed 1
+    bits : 8, 16, or 0 for EXR          linear : True for EXR
+    channels_in_file : 1 or 3.  Three equal channels become C = 1; alpha is dropped
+    """
+
+    values: np.ndarray
+    bits: int
+    linear: bool
+    channels_in_file: int
+
+    @property
+    def display(self) -> np.ndarray:
+        """(H, W, C) display values in [0, 1]."""
+        return display_of_linear(self.values) if self.linear else self.values
+
+
+def read_photograph(path) -> Photograph:
+    """Read an 8- or 16-bit PNG, JPEG or TIFF, or an EXR. Truncated or damaged files are refused.
+
+    The orientation noted in a file is ignored: the camera's pixels are those that were stored.
+    """
+    path = os.fspath(path)
+    if path.lower().endswith(".exr"):
+        values, bits = _linear_values(path), 0
+    else:
+        stored = _display_values(path)
+        # OpenCV's BGR
+        values, bits = stored[..., ::-1] / float(np.iinfo(stored.dtype).max), 8 * stored.dtype.itemsize
+    in_file = values.shape[2]
+    if in_file == 3 and (values[..., :1] == values).all():
+        values = values[..., :1]
+    return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file)
+
+
+def _linear_values(path):
+    """(H, W, C) of an EXR, all finite."""
+    values = read_exr(path)
+    if values.ndim == 2:
+        values = values[..., None]
+    if not np.isfinite(values).all():
+        y, x, channel = np.argwhere(~np.isfinite(values))[0]
+        raise BadInput(f"{path}: pixel ({x}, {y}): channel {channel} = {values[y, x, channel]} is not finite")
+    return values
+
+
+def _display_values(path):
+    """(H, W, 1 or 3) uint8 or uint16 as stored, without alpha."""
+    stored = _decode(path)
+    if stored.dtype not in (np.uint8, np.uint16):
+        raise BadInput(f"{path}: samples: {stored.dtype} instead of 8 or 16 bits")
+    if stored.ndim == 2:
+        stored = stored[..., None]
+    if stored.shape[2] in (2, 4):
+        if (stored[..., -1] != np.iinfo(stored.dtype).max).any():
+            raise BadInput(f"{path}: alpha: the photograph is transparent in places")
+        stored = stored[..., :-1]
+    if stored.shape[2] not in (1, 3):
+        raise BadInput(f"{path}: channels: {stored.shape[2]} instead of 1 or 3")
+    return stored
+
+
+def read_labels(path) -> np.ndarray:
+    """(H, W) int32 of an 8- or 16-bit PNG or a 32-bit TIFF; 0 is nothing."""
+    stored = _decode(os.fspath(path))
+    if stored.ndim != 2 or stored.dtype.kind not in "iu":
+        raise BadInput(f"{path}: labels: one channel of integers is needed, got {stored.shape} {stored.dtype}")
+    return stored.astype(np.int32)
+
+
+def write_png8(path, values):
+    """Of (H, W) or (H, W, 3), uint8 or bool (True is 255)."""
+    values = np.asarray(values)
+    _write_png(path, values.astype(np.uint8) * np.uint8(255) if values.dtype == bool else values, np.uint8)
+
+
+def write_png16(path, values):
+    """Of (H, W) or (H, W, 3), whole numbers 0 to 65535."""
+    _write_png(path, values, np.uint16)
+
+
+def write_labels(path, labels):
+    """(H, W) whole numbers from 0, as read_labels reads them: a 16-bit PNG, or a 32-bit TIFF if path ends in .tif."""
+    if os.fspath(path).endswith(".tif"):
+        _encode(path, "TIFF", ".tif", np.asarray(labels, np.int32))
+    else:
+        write_png16(path, labels)
+
+
+def _write_png(path, values, kind):
+    values = np.asarray(values)
+    limit = np.iinfo(kind).max
+    if values.dtype != kind:
+        if values.dtype.kind not in "iu" or (values.size and (values.min() < 0 or values.max() > limit)):
+            raise ValueError(f"{path}: whole numbers from 0 to {limit} are needed")
+        values = values.astype(kind)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.ndim == 3:
+        values = values[..., ::-1]
+    _encode(path, "PNG", ".png", values)
+
+
+def _encode(path, name, extension, values):
+    import cv2
+
+    level = [cv2.IMWRITE_PNG_COMPRESSION, 3] if name == "PNG" else []
+    ok, code = cv2.imencode(extension, np.ascontiguousarray(values), level)
+    if not ok:
+        raise OSError(f"{path}: cannot be written as {name}")
+    with open(path, "wb") as file:
+        file.write(code.tobytes())
+
+
+def read_exr(path) -> np.ndarray:
+    """(H, W) float64 for one channel (Y or Z), (H, W, 3) for R, G, B; an A beside them is dropped."""
+    import OpenEXR
+
+    path = os.fspath(path)
+    _content(path)
+    try:
+        with OpenEXR.File(path, separate_channels=True) as file:
+            header, channels = file.header(), file.channels()
+            window = [tuple(int(v) for v in np.ravel(header[name])) for name in ("dataWindow", "displayWindow")]
+            pixels = {name: np.array(channel.pixels, float) for name, channel in channels.items()}
+    except Exception as error:  # the package raises plain RuntimeError, TypeError, ...
+        raise BadInput(f"{path}: not a readable EXR: {' '.join(str(error).split()) or type(error).__name__}") from None
+    if window[0] != window[1]:
+        raise BadInput(f"{path}: dataWindow: {window[0]} is not the whole picture {window[1]}")
+    names = set(pixels) - {"A"}
+    if names == {"R", "G", "B"}:
+        return np.stack([pixels[name] for name in "RGB"], axis=-1)
+    if len(names) == 1 and names <= {"Y", "Z"}:
+        return pixels[names.pop()]
+    raise BadInput(f"{path}: channels: {', '.join(sorted(pixels))} instead of R, G, B or Y or Z")
+
+
+def write_exr(path, values, name="Y"):
+    """(H, W, 3) as R, G, B, or (H, W) as the one channel `name`; 32-bit floats, lossless."""
+    import OpenEXR
+
+    values = np.asarray(values)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    planes = {name: values} if values.ndim == 2 else {c: values[..., i] for i, c in enumerate("RGB")}
+    channels = {c: np.ascontiguousarray(plane, np.float32) for c, plane in planes.items()}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, channels) as file:
+        file.write(os.fspath(path))
+
+
+def _content(path):
+    """The file's bytes; BadInput where there are none."""
+    try:
+        with open(path, "rb") as file:
+            content = file.read()
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    if not content:
+        raise BadInput(f"{path}: the file is empty")
+    return content
+
+
+def _decode(path):
+    """What OpenCV reads, silently; BadInput where it reads nothing, or the file is damaged."""
+    import cv2
+
+    content = _content(path)
+    # The decoders fill in what is missing and only grumble, so look for the end of the file first.
+    if content.startswith(b"\x89PNG\r\n\x1a\n"):
+        _check_png(path, content)
+    elif content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content[-1024:]:
+        raise BadInput(f"{path}: truncated: {len(content)} bytes without the end of a JPEG")
+    level = cv2.utils.logging.getLogLevel() if hasattr(cv2.utils, "logging") else None
+    try:
+        if level is not None:
+            cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    finally:
+        if level is not None:
+            cv2.utils.logging.setLogLevel(level)
+    if image is None or image.size == 0:
+        raise BadInput(f"{path}: not a readable image ({len(content)} bytes)")
+    return image
+
+
+def _check_png(path, content):
+    """Every chunk whole, its checksum right, the last one IEND."""
+    at = 8
+    while True:
+        if at + 12 > len(content):
+            raise BadInput(f"{path}: truncated: the PNG ends at byte {len(content)} before its last chunk")
+        length, kind = struct.unpack(">I4s", content[at : at + 8])
+        chunk = f"chunk {kind.decode('ascii', 'replace')} at byte {at}"
+        if at + 12 + length > len(content):
+            left = len(content) - at - 12
+            raise BadInput(f"{path}: truncated: {chunk} needs {length} bytes, {left} are there")
+        (check,) = struct.unpack(">I", content[at + 8 + length : at + 12 + length])
+        if zlib.crc32(content[at + 4 : at + 8 + length]) != check:
+            raise BadInput(f"{path}: damaged: {chunk} has a wrong checksum")
+        at += 12 + length
+        if kind == b"IEND":
+            return

@@ -1,0 +1,32 @@
+"""The 3D model: triangles, and the facets, objects and groups they belong to.
+
+    model = load("model.obj")                   # or .glb
+    model.groups[model.facet_group[model.triangle_facet[t]]]
+
+A *group* (the file's material) has one photometry, an *object* (`o`, node) is a thing, a *facet* is a maximal flat
+piece of one object and one group.  The frame is the file's, the unit is the metre.
+"""
+
+import os
+
+from lib.core.stage import BadInput
+from lib.given.model.glb import read_glb
+from lib.given.model.mesh import Model, build
+from lib.given.model.obj import read_obj
+
+
+def load(path) -> Model:
+    """Read and check model.obj or model.glb.
+
+    Refused, naming file, line (or primitive) and value: a vertex that is not finite, an index out of range, a face
+    without material, no face at all.  Polygons without area are dropped; polygons that are not planar and those that
+    cross themselves are triangulated; each leaves a warning.
+    """
+    path = os.fspath(path)
+    try:
+        with open(path, "rb") as file:
+            content = file.read()
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    read = read_glb if content[:4] == b"glTF" else read_obj
+    return build(path, read(path, content))

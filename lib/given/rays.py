@@ -1,0 +1,136 @@
+"""Rays: Embree through open3d, low-discrepancy points, and which facets can cast a shadow at all.
+
+All geometry here is *local*: centred on the model and divided by its diagonal.  So float32 rays mean the same in a
+doll's house, a hangar, or a room a thousand kilometres from the origin (docs/design.md, local coordinates).  Form
+factors do not change under that map; lengths and areas are multiplied back where they are reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.given import rays_kernels as kernels
+from lib.given.rays_kernels import OFFSET
+
+
+@dataclass(frozen=True)
+class Local:
+    """The map into local coordinates: x_local = (x - centre) / diagonal."""
+
+    centre: np.ndarray  # (3,) m
+    diagonal: float  # m
+
+    @classmethod
+    def of(cls, model) -> Local:
+        """Of the vertices that a model's triangles use."""
+        used = model.vertices[np.unique(model.triangles)]
+        low, high = used.min(axis=0), used.max(axis=0)
+        return cls((low + high) / 2, float(np.linalg.norm(high - low)))
+
+    def points(self, p) -> np.ndarray:
+        """(..., 3) m -> local."""
+        return (np.asarray(p, float) - self.centre) / self.diagonal
+
+
+class Caster:
+    """Closest hits and occlusion for triangles in local coordinates, (T, 3, 3) float."""
+
+    def __init__(self, triangles):
+        import open3d as o3d
+
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self.empty = len(triangles) == 0
+        if not self.empty:
+            corners = np.ascontiguousarray(triangles, np.float32).reshape(-1, 3)
+            index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+            self._scene.add_triangles(self._tensor(corners), self._tensor(index))
+
+    def closest(self, rays):
+        """rays (n, 6) float32: origin, unit direction -> triangle (n,) int32 (-1: none), distance (n,) float32."""
+        if self.empty:
+            return np.full(len(rays), -1, np.int32), np.full(len(rays), np.inf, np.float32)
+        hits = self._scene.cast_rays(self._tensor(rays))
+        return hits["primitive_ids"].numpy().view(np.int32), hits["t_hit"].numpy()
+
+    def occluded(self, rays, far=1.0):
+        """rays (n, 6) float32: origin, vector to the target -> (n,) bool: something stands before `far` of the way."""
+        if self.empty:
+            return np.zeros(len(rays), bool)
+        return self._scene.test_occlusions(self._tensor(rays), 0.0, far).numpy()
+
+    def crossings(self, rays):
+        """How many triangles each ray crosses, (n,) int: odd from inside a closed surface."""
+        return self._scene.count_intersections(self._tensor(np.ascontiguousarray(rays, np.float32))).numpy()
+
+    def winding(self, rays, turn, facet, normal):
+        """How many solids each ray starts in, (n,) int: it leaves one more of them than it enters.
+
+        rays : (n, 6) float32;  turn : (F,), see `overlap` of lib/light/surface.py;  facet : (T,) facet of each triangle
+        normal : (F, 3)
+        """
+        met = self._scene.list_intersections(self._tensor(np.ascontiguousarray(rays, np.float32)))
+        ray = met["ray_ids"].numpy().astype(np.int64)
+        f = facet[met["primitive_ids"].numpy().astype(np.int64)]
+        leaves = np.sign(np.einsum("ij,ij->i", rays[ray, 3:], normal[f])) * turn[f]
+        return np.rint(np.bincount(ray, leaves, len(rays))).astype(int)
+
+
+def occluders(corners, facet_of_triangle) -> np.ndarray:
+    """Which facets can stand between two points of the model, (F,) bool.
+
+    A facet whose plane has the whole model on one side (the walls of a plain room) bounds the scene and never occludes.
+    Where no facet is left, no visibility ray is cast.
+
+    corners : (T, 3, 3) local;  facet_of_triangle : (T,) int
+    """
+    points = np.unique(corners.reshape(-1, 3), axis=0)
+    n_facets = int(facet_of_triangle.max()) + 1
+    first = np.unique(facet_of_triangle, return_index=True)[1]
+    v = corners[first]
+    normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    if n_facets * len(points) > 50_000_000:  # heights would take 400 MB
+        return np.ones(n_facets, bool)
+    height = points @ normal.T - np.einsum("ij,ij->i", v[:, 0], normal)
+    tolerance = 2 * OFFSET
+    return (height.max(axis=0) > tolerance) & (height.min(axis=0) < -tolerance)
+
+
+# ---- low-discrepancy points: Sobol', 4 dimensions (Joe & Kuo), scrambled by a digital shift per element ----
+
+
+def _directions():
+    """(4, 32) uint32: the direction numbers of Joe and Kuo's first four dimensions."""
+    V = np.zeros((4, 32), np.uint64)
+    V[0] = [1 << (31 - i) for i in range(32)]
+    for d, (s, a, m) in enumerate([(1, 0, [1]), (2, 1, [1, 3]), (3, 1, [1, 3, 1])], start=1):
+        v = [m[i] << (31 - i) for i in range(s)]
+        for i in range(s, 32):
+            x = v[i - s] ^ (v[i - s] >> s)
+            for k in range(1, s):
+                x ^= ((a >> (s - 1 - k)) & 1) * v[i - k]
+            v.append(x)
+        V[d] = v
+    return V.astype(np.uint32)
+
+
+_V = _directions()
+
+
+def sobol(n, at=None) -> np.ndarray:
+    """(n, 4) uint32, the first n points of the sequence, or those numbered `at`; / 2**32 gives [0, 1).
+
+    Aligned blocks of 2^m points are shifts of each other (x_{b 2^m + k} = x_{b 2^m} xor x_k).  So elements that take
+    consecutive blocks are each well spread, and well spread together.
+    """
+    return kernels.points(np.arange(n, dtype=np.uint64) if at is None else np.asarray(at, np.uint64), _V)
+
+
+def shifts(elements, n_points, seed) -> np.ndarray:
+    """(elements, 4) uint32: element i takes block i of the sequence, all shifted alike by the seed."""
+    block = 1 << max(0, int(n_points - 1).bit_length())
+    scramble = np.random.default_rng(seed).integers(0, 1 << 32, 4, np.uint32)
+    return sobol(elements, np.arange(elements, dtype=np.uint64) * np.uint64(block)) ^ scramble

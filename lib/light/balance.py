@@ -1,0 +1,129 @@
+"""The light balance b = rho (D E + F b) (eq. 3.2): the one place where it is solved, and where its light ends.
+
+F is a list of matrices: one for all channels, or one for each where mirrors or lobes are coloured. b is the radiosity
+that patches reflect, without what they emit. Everything is in single precision, which the sampling error of F dwarfs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lib.light import radiosity
+
+DENSE_LIMIT = 6000  # patches up to which F is kept dense: BLAS is then faster than sparse products
+
+
+def stored(F):
+    """F as it multiplies fastest: dense up to DENSE_LIMIT patches, else sparse."""
+    return F.toarray() if hasattr(F, "toarray") and F.shape[0] <= DENSE_LIMIT else F
+
+
+def times(matrices, X, channel=None):
+    """Each column of X (n, K) times the matrix of its channel (K,): (rows, K). 0 where there is no matrix.
+
+    matrices : list of one matrix or of one for each channel, None or 0 for nothing;  channel : default 0, 1, ... K - 1
+    """
+    if matrices is None:
+        return 0
+    if len(matrices) == 1:
+        return matrices[0] @ X if not isinstance(matrices[0], int) else 0
+    channel = np.arange(X.shape[1]) if channel is None else channel
+    size = next((A.shape[0] for A in matrices if not isinstance(A, int)), 0)
+    out = np.zeros((size, X.shape[1]), np.result_type(X, np.float32))
+    for c, A in enumerate(matrices):
+        mine = channel == c
+        if mine.any() and not isinstance(A, int):
+            out[:, mine] = A @ X[:, mine]
+    return out
+
+
+class Reflected(NamedTuple):
+    """b : (N, K) float32, what the patches reflect;  residual : relative, the largest of a column"""
+
+    b: np.ndarray
+    residual: float
+    iterations: int
+
+
+def reflected(F, rho, source, *, tolerance, x0=None, channel=None) -> Reflected:
+    """The solution of b = source + rho F b, for all columns at once.
+
+    F : see `times`;  rho : (N, K) or a number, of each patch;  source : (N, K) light reflected once
+    channel : (K,) of the columns;  tolerance : of the residual, relative to the source
+    """
+    scale = np.asarray(rho, np.float32)
+    return Reflected(
+        *radiosity.gmres(
+            lambda X: X - scale * times(F, X, channel),
+            source.astype(np.float32, copy=False),
+            tolerance=tolerance,
+            x0=x0,
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The light of a scene, and where it ends. N patches, C channels.
+
+    reflected : (N, C) radiosity without emission;  indirect : (N, C) F b, what others reflect to the patch
+    emitted, absorbed, escaped : (C,) flux;  residual, iterations : of the solve
+    """
+
+    reflected: np.ndarray
+    indirect: np.ndarray
+    emitted: np.ndarray
+    absorbed: np.ndarray
+    escaped: np.ndarray
+    residual: float
+    iterations: int
+
+    @property
+    def imbalance(self):
+        """|emitted - absorbed - escaped| / emitted over all channels; 0 in the dark."""
+        lost = np.abs(self.emitted - self.absorbed - self.escaped).sum()
+        return float(lost / self.emitted.sum()) if self.emitted.sum() > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Patches:
+    """What the balance must know of the patches (N,). group : numbers;  area : local;  exposed : share outside solids
+    front : bool, the patch lies on the front of its facet;  reach : share of its light that meets something at once"""
+
+    group: np.ndarray
+    area: np.ndarray
+    exposed: np.ndarray
+    front: np.ndarray
+    reach: np.ndarray
+
+
+def balance(F, D, patches: Patches, rho, E, lamp_groups, *, tolerance=1e-6, mirrored=None) -> Balance:
+    """The light balance and its flux.
+
+    F, D : (N, N), (N, L), see `times`;  rho : (G, C);  E : (L, C);  lamp_groups : (L,) numbers of the lamps' groups
+    mirrored : (G, C) rho_s of mirrors and lobes, which absorb that much less
+
+    The flux is closed over rays alone: what leaves a patch and meets nothing, by the sums of its rays, has escaped. A
+    closed scene keeps everything. The lamps' factors, reciprocity and the solve are all in what is left over.
+    """
+    direct = times(D, E)
+    r = rho[patches.group]
+    solution = reflected(F, r, r * direct, tolerance=tolerance)
+    b, indirect = solution.b, times(F, solution.b)
+    emittance = np.zeros_like(b, dtype=float)
+    for lamp, group in enumerate(lamp_groups):
+        emittance[(patches.group == group) & patches.front] += E[lamp]
+    size = (patches.area * patches.exposed)[:, None]
+    kept = 1 - r - (0 if mirrored is None else mirrored[patches.group])
+    return Balance(
+        np.asarray(b, float),
+        np.asarray(indirect, float),
+        emitted=(size * emittance).sum(axis=0),
+        absorbed=(size * kept * (direct + indirect)).sum(axis=0),
+        escaped=(size * (emittance + b) * (1 - patches.reach[:, None])).sum(axis=0),
+        residual=solution.residual,
+        iterations=solution.iterations,
+    )

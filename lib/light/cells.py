@@ -1,0 +1,121 @@
+"""Patches: the leaves of a quadtree over the bounding rectangle of each lit side of each facet (section 3.3).
+
+A facet has two *sides*, side = 2 * facet + (0 front, 1 back), each with its own radiosity. A side is meshed only if light can
+reach it: not the inside of a solid, and not a side from which nothing at all is seen. Leaves are clipped by the facet, so areas
+are exact for any polygon. One look into the side's table of finest cells locates a hit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.light import cells_kernels as kernels
+from lib.light.surface import Surface
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Patches; areas and lengths are local (see rays.Local)."""
+
+    side: np.ndarray  # (N,) int32
+    area: np.ndarray  # (N,) local
+    centre: np.ndarray  # (N, 3) local
+    tri_start: np.ndarray  # (N + 1,) int32 into tri_uv, tri_cdf
+    tri_uv: np.ndarray  # (K, 3, 2) float64, pieces of the patches in facet coordinates
+    tri_cdf: np.ndarray  # (K,) cumulated share of the patch's area
+    table_start: np.ndarray  # (2 F,) int64 into leaf; -1: the side has no patches
+    table_shape: np.ndarray  # (2 F, 2) int32 finest cells along the two axes
+    leaf: np.ndarray  # (...,) int32 patch of each finest cell, -1 outside the facet
+    parent: np.ndarray  # (N,) int32, numbers the cells one level up: what a coarser mesh would not tell apart
+
+    def __len__(self):
+        return len(self.side)
+
+
+class Tree:
+    """Leaves under construction: side, level, integer cell position at that level, and the root grid per side."""
+
+    def __init__(self, surface: Surface, sides, coarse):
+        self.surface = surface
+        corners, facet = surface.corners, surface.facet
+        relative = corners - surface.origin[facet][:, None, :]
+        self.uv = np.stack([np.einsum("tij,tj->ti", relative, surface.axes[facet, a]) for a in (0, 1)], axis=-1)
+        self.order = np.argsort(facet, kind="stable").astype(np.int64)
+        self.start = np.searchsorted(facet[self.order], np.arange(len(surface.normal) + 1)).astype(np.int64)
+        root = np.maximum(1, np.ceil(surface.size / coarse - 1e-9)).astype(np.int64)  # (F, 2)
+        self.root = np.repeat(root, 2, axis=0)  # per side
+        side = np.repeat(sides, self.root[sides].prod(axis=1))
+        index = (
+            np.concatenate([np.arange(n) for n in self.root[sides].prod(axis=1)]) if len(sides) else np.zeros(0, int)
+        )
+        nv = self.root[side, 1]
+        self.leaves = np.stack([side, np.zeros_like(side), index // nv, index % nv], axis=1)  # side, level, iu, iv
+        self._prune()
+
+    def cells(self, leaves=None):
+        """(n, 5) facet, u0, v0, u1, v1."""
+        leaves = self.leaves if leaves is None else leaves
+        side, level, iu, iv = leaves.T
+        count = self.root[side] * (1 << level)[:, None]
+        step = self.surface.size[side // 2] / count
+        return np.stack(
+            [side // 2, iu * step[:, 0], iv * step[:, 1], (iu + 1) * step[:, 0], (iv + 1) * step[:, 1]], axis=1
+        )
+
+    def cut(self, leaves=None):
+        return kernels.cut_cells(self.cells(leaves), self.uv, self.start, self.order, 1e-9)
+
+    def _prune(self):
+        start = self.cut()[0]
+        self.leaves = self.leaves[np.diff(start) > 0]
+
+    def split(self, flags):
+        parent = self.leaves[flags]
+        children = []
+        for du in (0, 1):
+            for dv in (0, 1):
+                children.append(
+                    np.stack([parent[:, 0], parent[:, 1] + 1, 2 * parent[:, 2] + du, 2 * parent[:, 3] + dv], axis=1)
+                )
+        children = np.concatenate(children)
+        children = children[np.diff(self.cut(children)[0]) > 0]
+        self.leaves = np.concatenate([self.leaves[~flags], children])
+
+    def sort(self):
+        self.leaves = self.leaves[
+            np.lexsort((self.leaves[:, 3], self.leaves[:, 2], self.leaves[:, 1], self.leaves[:, 0]))
+        ]
+
+    def mesh(self) -> Mesh:
+        surface, leaves = self.surface, self.leaves
+        start, pieces, cdf, area = self.cut(leaves)
+        side, level = leaves[:, 0], leaves[:, 1]
+        finest = np.zeros(len(self.root), np.int64)
+        np.maximum.at(finest, side, level)
+        shape = self.root * (1 << finest)[:, None]
+        used = np.zeros(len(self.root), bool)
+        used[side] = True
+        count = np.where(used, shape.prod(axis=1), 0)
+        table = np.where(used, np.concatenate([[0], np.cumsum(count)[:-1]]), -1)
+        leaf = kernels.leaf_table(leaves, finest, shape, table, int(count.sum()))
+        f = side // 2
+        weight = np.diff(cdf, prepend=0.0)
+        weight[start[:-1]] = cdf[start[:-1]]
+        middle = np.add.reduceat(pieces.mean(axis=1) * weight[:, None], start[:-1], axis=0)
+        centre = surface.origin[f] + middle[:, :1] * surface.axes[f, 0] + middle[:, 1:] * surface.axes[f, 1]
+        above = np.stack([side, level, leaves[:, 2] >> 1, leaves[:, 3] >> 1], axis=1)
+        parent = np.unique(above, axis=0, return_inverse=True)[1].reshape(-1)
+        return Mesh(
+            side.astype(np.int32),
+            area,
+            centre,
+            start,
+            pieces,
+            cdf,
+            table,
+            shape.astype(np.int32),
+            leaf,
+            parent.astype(np.int32),
+        )

@@ -1,0 +1,116 @@
+"""Compiled: cells clipped by their facet, the table of finest cells, points in a patch."""
+
+import numpy as np
+
+from lib.core.compiled import njit
+
+# -- cutting
+
+
+@njit()
+def clip(poly, n, axis, value, keep_greater, out):
+    """Sutherland-Hodgman against one axis-parallel line; returns the new number of corners."""
+    m = 0
+    for i in range(n):
+        a = poly[i]
+        b = poly[(i + 1) % n]
+        da = a[axis] - value if keep_greater else value - a[axis]
+        db = b[axis] - value if keep_greater else value - b[axis]
+        if da >= 0:
+            out[m, 0], out[m, 1] = a[0], a[1]
+            m += 1
+        if (da > 0 and db < 0) or (da < 0 and db > 0):
+            t = da / (da - db)
+            out[m, 0] = a[0] + t * (b[0] - a[0])
+            out[m, 1] = a[1] + t * (b[1] - a[1])
+            out[m, axis] = value
+            m += 1
+    return m
+
+
+@njit()
+def cut_cells(cells, uv, facet_start, facet_order, keep_below):
+    """Clip each cell (facet, u0, v0, u1, v1) by its facet's triangles -> pieces as triangles, per-cell area."""
+    n = len(cells)
+    start = np.zeros(n + 1, np.int64)
+    area = np.zeros(n)
+    capacity = 4 * n + 16
+    pieces = np.zeros((capacity, 3, 2))
+    weight = np.zeros(capacity)
+    k = 0
+    p = np.zeros((16, 2))
+    q = np.zeros((16, 2))
+    for i in range(n):
+        f = int(cells[i, 0])
+        u0, v0, u1, v1 = cells[i, 1], cells[i, 2], cells[i, 3], cells[i, 4]
+        cell_area = (u1 - u0) * (v1 - v0)
+        for s in range(facet_start[f], facet_start[f + 1]):
+            t = uv[facet_order[s]]
+            if (
+                max(t[0, 0], t[1, 0], t[2, 0]) <= u0
+                or min(t[0, 0], t[1, 0], t[2, 0]) >= u1
+                or max(t[0, 1], t[1, 1], t[2, 1]) <= v0
+                or min(t[0, 1], t[1, 1], t[2, 1]) >= v1
+            ):
+                continue
+            for c in range(3):
+                p[c, 0], p[c, 1] = t[c, 0], t[c, 1]
+            m = clip(p, 3, 0, u0, True, q)
+            m = clip(q, m, 0, u1, False, p)
+            m = clip(p, m, 1, v0, True, q)
+            m = clip(q, m, 1, v1, False, p)
+            for c in range(1, m - 1):
+                a = 0.5 * abs(
+                    (p[c, 0] - p[0, 0]) * (p[c + 1, 1] - p[0, 1]) - (p[c + 1, 0] - p[0, 0]) * (p[c, 1] - p[0, 1])
+                )
+                if a <= keep_below * cell_area:
+                    continue
+                if k == capacity:
+                    capacity *= 2
+                    bigger = np.zeros((capacity, 3, 2))
+                    bigger[:k] = pieces[:k]
+                    pieces = bigger
+                    heavier = np.zeros(capacity)
+                    heavier[:k] = weight[:k]
+                    weight = heavier
+                pieces[k, 0], pieces[k, 1], pieces[k, 2] = p[0], p[c], p[c + 1]
+                weight[k] = a
+                area[i] += a
+                k += 1
+        start[i + 1] = k
+    cdf = np.zeros(k)
+    for i in range(n):
+        total = 0.0
+        for s in range(start[i], start[i + 1]):
+            total += weight[s]
+            cdf[s] = total / area[i]
+        if start[i + 1] > start[i]:
+            cdf[start[i + 1] - 1] = 1.0
+    return start, pieces[:k].copy(), cdf, area
+
+
+@njit()
+def leaf_table(leaves, finest, shape, start, total):
+    leaf = np.full(total, -1, np.int32)
+    for i in range(len(leaves)):
+        side, level, iu, iv = leaves[i, 0], leaves[i, 1], leaves[i, 2], leaves[i, 3]
+        k = 1 << (finest[side] - level)
+        for a in range(iu * k, (iu + 1) * k):
+            for b in range(iv * k, (iv + 1) * k):
+                leaf[start[side] + a * shape[side, 1] + b] = i
+    return leaf
+
+
+@njit(inline="always")
+def in_patch(i, u, v, tri_start, tri_uv, tri_cdf):
+    """A point of patch i, in facet coordinates, uniform for uniform (u, v)."""
+    a, b = tri_start[i], tri_start[i + 1]
+    s = a
+    while s < b - 1 and tri_cdf[s] <= u:
+        s += 1
+    low = tri_cdf[s - 1] if s > a else 0.0
+    u = min(max((u - low) / (tri_cdf[s] - low), 0.0), 1.0)
+    r = np.sqrt(u)
+    w0, w1, w2 = 1 - r, r * (1 - v), r * v
+    t = tri_uv[s]
+    return w0 * t[0, 0] + w1 * t[1, 0] + w2 * t[2, 0], w0 * t[0, 1] + w1 * t[1, 1] + w2 * t[2, 1]

@@ -1,0 +1,122 @@
+"""specular.npz: how light goes past the mirrors and glossy surfaces that `fit` found; `render` need not trace it again.
+
+It holds the finish, the chains, the transport to the patches, and the virtual index buffer: what each pixel of a mirror
+shows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from lib.core import artefact
+from lib.core.stage import BadInput
+from lib.light.chains import Chains, Finish
+from lib.light.lamps import Emitter
+from lib.light.mirror_view import MirrorView
+from lib.light.specular import Transport
+
+
+@dataclass(frozen=True)
+class Traced:
+    """pixel : (m,) flat index of the pixels that show a mirror at once;  view : what they show in the end"""
+
+    transport: Transport
+    pixel: np.ndarray
+    view: MirrorView
+
+    def fits(self, finish, n_patches):
+        """Whether this was traced for these surfaces: a file beside another materials.json does not count."""
+        return self.transport.finish.equals(finish) and len(self.transport.D_mirrored) == n_patches
+
+
+FINISH, LAMP = ("kind", "alpha", "tangent"), ("corners", "normal", "cdf", "mirrors")
+
+
+def write(path, traced: Traced):
+    """Whole or absent."""
+    t = traced.transport
+    arrays = {f"finish_{name}": np.asarray(getattr(t.finish, name)) for name in FINISH}
+    for k, F in t.F.items():
+        arrays |= {
+            f"F_{k}_data": F.data,
+            f"F_{k}_indices": F.indices,
+            f"F_{k}_indptr": F.indptr,
+            f"F_{k}_shape": F.shape,
+        }
+    arrays |= {f"D_{k}": D for k, D in t.D.items()}
+    for k, lamp in enumerate(t.mirrored):
+        arrays |= {f"lamp_{k}_{name}": np.asarray(getattr(lamp, name)) for name in LAMP}
+    arrays |= {f"view_{f.name}": getattr(traced.view, f.name) for f in fields(MirrorView)}
+    artefact.write_npz(
+        path,
+        **arrays,
+        groups=np.array(t.finish.groups, int),
+        form=t.finish.form,
+        chains=t.chains.counts,
+        F_chains=np.array(list(t.F), int),
+        D_chains=np.array(list(t.D), int),
+        lamps=np.array([lamp.lamp for lamp in t.mirrored], int),
+        way=t.way,
+        D_mirrored=t.D_mirrored,
+        complete=t.complete,
+        rays=t.rays,
+        lost=t.lost,
+        pixel=traced.pixel,
+    )
+
+
+def read(path) -> Traced:
+    """BadInput: an array is missing, or holds a value that is not finite."""
+    from scipy.sparse import csr_array
+
+    always = (
+        "groups",
+        "form",
+        "chains",
+        "F_chains",
+        "D_chains",
+        "lamps",
+        "way",
+        "D_mirrored",
+        "complete",
+        "rays",
+        "lost",
+    )
+    a = artefact.read_npz(path, *always, "pixel", *(f"view_{f.name}" for f in fields(MirrorView)))
+    for name, array in a.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise BadInput(f"{path}: {name}: holds a value that is not finite")
+    finish = Finish(tuple(map(int, a["groups"])), *(a[f"finish_{name}"] for name in FINISH), form=int(a["form"]))
+    F = {
+        int(k): csr_array((a[f"F_{k}_data"], a[f"F_{k}_indices"], a[f"F_{k}_indptr"]), shape=tuple(a[f"F_{k}_shape"]))
+        for k in a["F_chains"]
+    }
+    mirrored = [
+        Emitter(
+            int(lamp), *(a[f"lamp_{k}_{name}"] for name in LAMP[:3]), mirrors=tuple(map(int, a[f"lamp_{k}_mirrors"]))
+        )
+        for k, lamp in enumerate(a["lamps"])
+    ]
+    transport = Transport(
+        finish,
+        Chains(len(finish), a["chains"]),
+        F,
+        {int(k): a[f"D_{k}"] for k in a["D_chains"]},
+        mirrored,
+        a["way"],
+        a["D_mirrored"],
+        int(a["complete"]),
+        int(a["rays"]),
+        float(a["lost"]),
+    )
+    return Traced(transport, a["pixel"], MirrorView(*(a[f"view_{f.name}"] for f in fields(MirrorView))))
+
+
+def mirror_picture(traced: Traced, group_of_facet, shape):
+    """(H, W) int32 for mirror.png: group + 1 that each pixel of a mirror shows, 0 where there is nothing."""
+    picture = np.zeros(shape, np.int32)
+    shown = np.where(traced.view.facet >= 0, np.asarray(group_of_facet)[traced.view.facet] + 1, 0)
+    picture.reshape(-1)[traced.pixel] = shown
+    return picture

@@ -1,0 +1,1 @@
+"""§3.3 From balanced light to the picture that the camera takes of it."""

@@ -1,0 +1,189 @@
+"""§4.3 From the linear picture to the displayed one, and how far it is from the photograph.
+
+    shown = Finish(transfer, photograph.values, group, pure)(B)      # any transfer of scene.yaml
+    rmse(shown, photograph), ciede2000(shown, photograph)
+
+`gamma`, `linear` and `srgb` are functions of B alone. The paper's other candidates look at the photograph and are
+applied to the finished picture only, after reflectances fitted as under `linear`: `linear_per_group` (figure 4.4,
+right), `histogram` and `histogram_per_group` (figure 4.5).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lib.given.transfer import Transfer
+
+KINDS = ("gamma", "linear", "srgb", "linear_per_group", "histogram", "histogram_per_group")
+
+
+def finished(B, kind, photograph, group, pure, gamma=1.0):
+    """Display values in [0, 1], (H, W, C).
+
+    B : (H, W, C) linear;  photograph : (H, W, C) display;  group : (H, W) int, -1 = nothing
+    pure : (H, W) bool, pixels that show one facet: they alone say what a group's values are
+    """
+    if kind == "linear":
+        return np.clip(B, 0, 1)
+    if kind in ("gamma", "srgb"):
+        return Transfer(kind, gamma).display(B)
+    if kind == "histogram":
+        # one function for the picture, all channels together: the camera has one transfer function
+        return _matched(B.ravel(), B.ravel(), photograph.ravel()).reshape(B.shape)
+    one = _rescaled if kind == "linear_per_group" else _matched
+    result = np.clip(B, 0, 1)
+    for g in np.unique(group[group >= 0]):
+        mine = group == g
+        judged = mine & pure if (mine & pure).any() else mine
+        for c in range(B.shape[2]):
+            result[mine, c] = one(B[mine, c], B[judged, c], photograph[judged, c])
+    return np.clip(result, 0, 1)
+
+
+def _rescaled(values, synthetic, real):
+    """The linear map that takes [min, max] of the synthetic values to that of the real ones."""
+    low, high = synthetic.min(), synthetic.max()
+    if high <= low:
+        return np.full_like(values, real.mean())
+    return real.min() + (values - low) * (real.max() - real.min()) / (high - low)
+
+
+def _matched(values, synthetic, real):
+    """The increasing map that gives the synthetic values the distribution of the real ones.
+
+    §4.3.2 prints T = E1 o E2^-1 with the distribution functions E1 of the radiosities and E2 of the photograph, and
+    reads it from left to right: first E1, then E2^-1. As composition of functions that is T = E2^-1(E1(B)).
+    """
+    step = max(1, len(real) // 150_000)
+    step += step % 3 == 0  # not always the same channel
+    x, y = (np.quantile(v[::step], np.linspace(0, 1, 1025)) for v in (synthetic, real))
+    x, first, number = np.unique(x, return_index=True, return_counts=True)  # one value, many levels: their middle
+    return np.interp(values, x, np.add.reduceat(y, first) / number)
+
+
+def rmse(a, b):
+    """Root mean square over pixels and channels; 0 for no pixels."""
+    return float(np.sqrt(np.mean((a - b) ** 2))) if a.size else 0.0
+
+
+def load_colour():
+    """colour-science, which takes a second to import and grumbles about optional packages."""
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import colour
+    return colour
+
+
+def ciede2000(a, b):
+    """(...,) colour difference of display values read as sRGB, (..., C) in [0, 1]; grey is three equal channels."""
+    colour = load_colour()
+    lab = []
+    for values in (a, b):
+        values = np.broadcast_to(values, (*values.shape[:-1], 3)) if values.shape[-1] == 1 else values
+        lab.append(colour.XYZ_to_Lab(colour.sRGB_to_XYZ(values)))
+    return colour.delta_E(lab[0], lab[1], method="CIE 2000")
+
+
+def scores(shown, photograph, group, groups):
+    """{"rmse", "ciede2000", "groups": {name: {"rmse", "ciede2000"}}}: of all pixels, and of each group that is seen."""
+    difference = ciede2000(shown, photograph)
+    square = ((shown - photograph) ** 2).mean(axis=2)
+    number = np.bincount(group[group >= 0], minlength=len(groups))
+    total = [
+        np.bincount(group[group >= 0], values[group >= 0], len(groups)) / np.maximum(number, 1)
+        for values in (square, difference)
+    ]
+    return {
+        "rmse": rmse(shown, photograph),
+        "ciede2000": float(difference.mean()),
+        "groups": {
+            name: {"rmse": float(np.sqrt(total[0][g])), "ciede2000": float(total[1][g])}
+            for g, name in enumerate(groups)
+            if number[g]
+        },
+    }
+
+
+def transfer_models(B, photograph, group, pure, kind, gamma, fitted):
+    """What each transfer function of the paper leaves (figures 4.4-4.6): a list of {kind, rmse, rmse_refitted, note}.
+
+    `rmse` is of the same linear picture B in every row. `rmse_refitted` is after each group's radiosities were multiplied
+    by the factor (per channel) that suits that transfer best: its reflectances fitted again, at fixed light. That of the
+    candidates that look at the photograph is as under `linear`, as the paper has it.
+    kind, gamma : of the fit;  fitted : (H, W) bool, pixels that count (no lamps)
+    """
+    own = kind if kind in ("gamma", "srgb") else "linear"
+    notes = {
+        "linear_per_group": "[min, max] of each group and channel taken to the photograph's",
+        "histogram": "one T = E2^-1(E1(B)) for all channels",
+        "histogram_per_group": "T = E2^-1(E1(B)) per group and channel",
+    }
+    best = gamma if kind == "gamma" else _best_gamma(B, photograph, fitted)
+    samples = _samples(B, photograph, group, fitted)
+    rows, refitted = [], {}
+    for name, g, text in [
+        ("gamma", best, f"gamma {best:.4g}"),
+        ("gamma", 2.2, "given gamma 2.2"),
+        *((k, 1.0, notes.get(k, "")) for k in KINDS[1:]),
+    ]:
+        under = name if name in ("gamma", "srgb") else "linear"
+        if (under, g) not in refitted:
+            refitted[under, g] = B * _factors(samples, under, g)[np.maximum(group, 0)]
+        if under != own or (name == "gamma" and g != gamma):
+            text += f"{'; ' if text else ''}reflectances fitted under {own}, refitted under {under}"
+        else:
+            text += f"{'; ' if text else ''}the transfer of the fit"
+        rows.append(
+            {
+                "kind": name,
+                "rmse": rmse(finished(B, name, photograph, group, pure, g), photograph),
+                "rmse_refitted": rmse(finished(refitted[under, g], name, photograph, group, pure, g), photograph),
+                "note": text,
+            }
+        )
+    return rows
+
+
+def _samples(B, photograph, group, fitted, most=2000):
+    """[(radiosities (n, C), photograph (n, C))] of each group up to the last that is seen, at most so many pixels of each."""
+    y, x = np.nonzero(fitted)
+    order = np.argsort(group[y, x], kind="stable")
+    y, x = y[order], x[order]
+    start = np.searchsorted(group[y, x], np.arange(int(group.max(initial=0)) + 2))
+    chosen = [slice(a, b, max(1, (b - a) // most)) for a, b in zip(start[:-1], start[1:])]
+    return [(B[y[s], x[s]], photograph[y[s], x[s]]) for s in chosen]
+
+
+def _factors(samples, kind, gamma):
+    """(G, C) factors of the groups' radiosities for the least squares of the display values: Gauss-Newton on their logarithms."""
+    result = np.ones((len(samples), samples[0][0].shape[1]))
+    for g, (b, want) in enumerate(samples):
+        if not len(b):
+            continue
+        log = np.zeros(b.shape[1])
+        for _ in range(8):
+            low, high = (finished(b * np.exp(log + h), kind, None, None, None, gamma) for h in (-1e-4, 1e-4))
+            slope = (high - low) / 2e-4
+            step = np.clip(
+                ((want - (low + high) / 2) * slope).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-12), -1, 1
+            )
+            log += step
+            if np.abs(step).max() < 1e-4:
+                break
+        result[g] = np.exp(log)
+    return result
+
+
+def _best_gamma(B, photograph, fitted):
+    """The gamma in [0.2, 8] of the least squares (eq. 4.1) on a sample of the pixels."""
+    from scipy.optimize import minimize_scalar
+
+    b, want = B[fitted], photograph[fitted]
+    some = slice(None, None, max(1, len(b) // 20000))
+    b, want = np.clip(b[some], 0, 1), want[some]
+    if not len(b):
+        return 2.2
+    cost = lambda log: float(((b ** np.exp(-log) - want) ** 2).mean())
+    return float(np.exp(minimize_scalar(cost, bounds=(np.log(0.2), np.log(8)), method="bounded").x))

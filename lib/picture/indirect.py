@@ -1,0 +1,118 @@
+"""Indirect light at the pixels. It is smooth, so it is gathered by many rays at few places, the leaves of one quadtree over the picture
+per facet: finer near contacts, and where neighbours cannot foretell it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lib.light.surface import Surface
+from lib.picture import indirect_kernels as kernels
+from lib.picture.leaves import Leaves, block_means, neighbourhoods, pixel_blocks
+from lib.picture.light_map import LightMap
+from lib.picture.pixels import Pixels
+from lib.picture.ray_light import gathered_light
+
+
+def gather(
+    surface: Surface,
+    shown: LightMap,
+    lamps,
+    E,
+    pixels: Pixels,
+    total_direct,
+    *,
+    n_rays=256,
+    contact=0.35,
+    tolerance=0.01,
+    trace=None,
+) -> Leaves:
+    """Indirect light at the leaves, refined from blocks of a 15th of the picture down to 2 px.
+
+    total_direct : (M, C) direct irradiance of the pixels, the scale of what an error means
+    n_rays : rays in the end at a leaf an eighth as wide as the largest; twice as many at one twice as wide, because the
+        noise of a wide leaf is a blotch, that of a narrow one is not seen and averages out
+    contact : a leaf wider than this times the harmonic mean distance of what it sees is split
+    tolerance : and one whose light its neighbours do not foretell to this share of its total light
+    """
+    smallest, largest = 1, max(2, round(np.log2(max(min(pixels.number.shape) / 15, 1))))
+    brightness = total_direct.mean(axis=1)
+    first, last = pixel_blocks(pixels, np.zeros(1, np.int64), np.array([len(pixels)]), largest)
+    done = None
+    for level in range(largest, smallest - 1, -1):
+        fresh = _gathered(surface, shown, lamps, E, pixels, first, last, level, max(16, n_rays // 2))
+        everything = fresh if done is None else Leaves.joined(done, fresh)
+        weight = everything.last - everything.first
+        _, foretold = neighbourhoods(everything, pixels.facet[everything.first])
+        total = block_means(brightness, everything.first, everything.last) + everything.irradiance.mean(axis=1)
+        floor = 0.05 * np.average(total, weights=weight) if len(weight) else 0.0
+        error = np.abs(foretold - everything.irradiance).mean(axis=1) / np.maximum(total + floor, 1e-300)
+        if trace and len(weight):
+            trace(places=len(everything), foretold_error=float(np.sqrt(np.average(error**2, weights=weight))))
+        split = everything.extent > contact * everything.distance
+        split |= error > np.maximum(tolerance, 3 * everything.noise / np.maximum(total + floor, 1e-300))
+        split &= (everything.level == level) & (weight > 4) & (level > smallest)
+        done = everything[~split]
+        if not split.any():
+            break
+        first, last = pixel_blocks(pixels, everything.first[split], everything.last[split], level - 1)
+    while len(done):  # no leaf beside one a quarter as wide or less: the fits would lean
+        split = (
+            kernels.lowest_beside(done.first, done.last, done.level, pixels.number, pixels.facet, pixels.x, pixels.y)
+            < done.level - 1
+        )
+        if not split.any():
+            break
+        fresh = [
+            _gathered(
+                surface,
+                shown,
+                lamps,
+                E,
+                pixels,
+                *pixel_blocks(pixels, done.first[now], done.last[now], level - 1),
+                level - 1,
+                max(16, n_rays // 2),
+            )
+            for level in np.unique(done.level[split])
+            for now in [split & (done.level == level)]
+        ]
+        done = Leaves.joined(done[~split], *fresh)
+    _finish(surface, shown, lamps, E, pixels, done, brightness, n_rays, largest)
+    return done
+
+
+def _finish(surface, shown, lamps, E, pixels, leaves, brightness, n_rays, largest):
+    """The final rays, in place. Facets whose light comes from few directions (dark ones before a bright gap) get more, up to
+    four times as many, those of even light fewer; those that reflect nothing next to none."""
+    if not len(leaves):
+        return
+    facet, weight = pixels.facet[leaves.first], (leaves.last - leaves.first).astype(float)
+    total = block_means(brightness, leaves.first, leaves.last) + leaves.irradiance.mean(axis=1)
+    noise = (leaves.noise / np.maximum(total, 1e-300)) ** 2
+    mean = np.bincount(facet, weight * noise) / np.maximum(np.bincount(facet, weight), 1)
+    share = np.clip((np.sqrt(mean) / 0.015) ** (4 / 3), 0.5, 4.0)  # an error falls as rays ** -0.75
+    share = np.where(shown.rho[: len(share)].max(axis=1) > 0, share, 0)[facet]
+    wanted = n_rays * 2.0 ** (leaves.level - largest + 3) * share
+    leaves.rays[:] = 2 ** np.clip(np.round(np.log2(np.maximum(wanted, 16))), 4, 16).astype(int)
+    for n in np.unique(leaves.rays):
+        mine = np.flatnonzero(leaves.rays == n)
+        first, last = leaves.first[mine], leaves.last[mine]
+        leaves.irradiance[mine] = gathered_light(
+            surface, shown, lamps, E, pixels.p, first, last, pixels.side[first], int(n), 950 + int(n)
+        )[0]
+
+
+def _gathered(surface, shown, lamps, E, pixels, first, last, level, n_rays) -> Leaves:
+    total, half, distance = gathered_light(
+        surface, shown, lamps, E, pixels.p, first, last, pixels.side[first], n_rays, 900 + level
+    )
+    q = np.stack(
+        [block_means(pixels.x.astype(float), first, last), block_means(pixels.y.astype(float), first, last)], axis=1
+    )
+    low, high = kernels.bounds(pixels.p, first, last)
+    extent = np.linalg.norm(high - low, axis=1)
+    noise = np.abs(half).mean(axis=1)
+    return Leaves(
+        first, last, np.full(len(first), level), q, extent, total, distance, noise, np.full(len(first), n_rays)
+    )

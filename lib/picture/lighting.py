@@ -1,0 +1,120 @@
+"""A scene's balanced light, ready to be looked at from anywhere."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lib.light import lamps, specular
+from lib.light.balance import Balance, Patches, balance, stored, times
+from lib.light.chains import Chains
+from lib.light.factors_file import FormFactors
+from lib.light.specular import SpecularLight, Transport
+from lib.light.surface import Surface
+from lib.picture import albedo_maps, texels
+from lib.picture.appearance import Appearance
+from lib.picture.light_map import LightMap
+
+
+@dataclass(frozen=True, eq=False)
+class Lighting:
+    """lamps : plain and mirrored Emitters, of emittances E (their number, C);  shown : what rays see
+    ways : where rays go on at mirrors and glossy surfaces, None where there are none
+    """
+
+    surface: Surface
+    appearance: Appearance
+    lamp_groups: np.ndarray
+    light: Balance
+    lamps: list
+    E: np.ndarray
+    shown: LightMap
+    ways: SpecularLight | None = None
+
+    def radiosities(self, irradiance, facet, side, p):
+        """(M, C): what places p (M, 3) on facets reflect of their irradiance, and what the front of a lamp emits."""
+        return radiosities(self.surface, self.appearance, self.lamp_groups, irradiance, facet, side, p)
+
+
+def radiosities(surface: Surface, appearance: Appearance, lamp_groups, irradiance, facet, side, p):
+    """See `Lighting.radiosities`; any irradiance, for example that of eq. 3.1."""
+    group = surface.group[facet]
+    B = appearance.rho[group] * irradiance
+    for f, texture in appearance.maps.items():
+        at = np.flatnonzero(facet == f)
+        if len(at):
+            B[at] = albedo_maps.lookup(texture, surface, p[at]) * irradiance[at]
+    for lamp, lamp_group in enumerate(lamp_groups):
+        B[(group == lamp_group) & (side & 1 == 0)] += appearance.E[lamp]
+    return B
+
+
+def lighting(
+    surface: Surface, factors: FormFactors, appearance: Appearance, *, transport: Transport | None = None, timing=None
+) -> Lighting:
+    """The balance of the patches, and the light map that rays see.
+
+    transport : the ways of light past mirrors and glossy surfaces; traced here if there are such and it is not given
+    timing : context manager by label
+    """
+    timing = timing or (lambda label: contextlib.nullcontext())
+    plain = lamps.emitters(surface, factors.lamps)
+    numbers = np.array([factors.groups.index(name) for name in factors.lamps], int)
+    with timing("balance"):
+        subcell = factors.subcell()
+        F = (factors.rows.matrix() @ subcell).tocsr()
+        F = stored(F) if appearance.finish is None else F
+        patches = Patches(
+            factors.patch_group,
+            factors.mesh.area,
+            factors.rows.exposed,
+            factors.mesh.side % 2 == 0,
+            np.asarray(F @ np.ones(F.shape[1], np.float32)),
+        )
+        if appearance.finish is None:
+            light = balance([F], [factors.lamp_factor], patches, appearance.rho, appearance.E, numbers)
+            every, E, indirect, ways = plain, appearance.E, light.indirect, None
+        else:
+            if transport is None:
+                chains = Chains(len(appearance.finish))
+                transport = specular.transport(
+                    surface, factors.mesh, appearance.finish, chains, plain, len(appearance.E)
+                )
+            light, indirect, ways = _past_mirrors(F, subcell, factors, patches, appearance, numbers, plain, transport)
+            every, E = ways.every, ways.E_every
+    with timing("texture"):
+        rho_facet = appearance.rho[surface.group]
+        shown = texels.light_map(surface, factors.mesh, every, E, indirect, factors.rows.exposed, rho_facet, ways=ways)
+    return Lighting(surface, appearance, numbers, light, every, E, shown, ways)
+
+
+def _past_mirrors(F, subcell, factors, patches, appearance, lamp_groups, plain, transport: Transport):
+    """Balance, indirect light of the patches (N, C), and SpecularLight, where light goes on at mirrors and glossy surfaces."""
+    E, C = appearance.E, appearance.channels
+    power = transport.chains.power(appearance.rho_s)
+    parts = {k: A @ subcell for k, A in transport.F.items()}
+    Fs = [stored(sum((A * power[k, c] for k, A in parts.items()), F).tocsr()) for c in range(C)]
+    Ds = [sum((D * power[k, c] for k, D in transport.D.items()), factors.lamp_factor) for c in range(C)]
+    mirrored = np.zeros_like(appearance.rho)
+    mirrored[list(appearance.finish.groups)] = appearance.rho_s
+    light = balance(Fs, Ds, patches, appearance.rho, E, lamp_groups, mirrored=mirrored)
+    # mirrored lamps are lamps of their own in the picture; what lobes bring of the lamps is indirect light
+    E_mirrored = np.array(
+        [E[lamp.lamp] * power[k] for lamp, k in zip(transport.mirrored, transport.way, strict=True)]
+    ).reshape(-1, C)
+    every = plain + [replace(lamp, lamp=len(E) + k) for k, lamp in enumerate(transport.mirrored)]
+    direct = factors.lamp_factor @ E + transport.D_mirrored @ E_mirrored
+    whole = times(Ds, E) + times(Fs, light.reflected)
+    ways = SpecularLight(
+        appearance.finish,
+        transport.chains,
+        appearance.rho_s,
+        plain,
+        E,
+        every,
+        np.vstack([E, E_mirrored]),
+        transport.complete,
+    )
+    return light, whole - direct, ways

@@ -1,0 +1,153 @@
+"""§3.3 The picture: what the camera sees of the balanced light (eq. 3.2).
+
+    subject = read(camera=..., model=..., ...)    # lib/picture/subject.py: files, checked against each other
+    picture = render(subject)                     # linear, anti-aliased
+
+The patches' balance is one small linear solve; the modules beside this one take its light to the pixels. Mixed pixels are the
+mean of their fragments by area (the A-buffer). Colours are channels C (1 or 3); a radiosity is camera-referred.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.given.cameras import Camera
+from lib.given.image import Photograph
+from lib.given.transfer import Transfer
+from lib.given.view import View
+from lib.light import adapt, form_factors, lamps
+from lib.light.balance import Balance
+from lib.light.factors_file import FormFactors
+from lib.light.small_room import small_room
+from lib.light.surface import side_normals
+from lib.picture import fragments, indirect, light_map, pixel_light, reflections
+from lib.picture.appearance import Appearance
+from lib.picture.fragments import Fragments
+from lib.picture.leaves import interpolated
+from lib.picture.lighting import lighting
+from lib.picture.pixels import Pixels, pixels
+from lib.picture.subject import Quality, Subject
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """linear : (H, W, C), anti-aliased;  facts : for the report"""
+
+    linear: np.ndarray
+    light: Balance
+    pixels: Pixels
+    fragments: Fragments
+    facts: dict
+
+
+def render(subject: Subject, quality: Quality = Quality(), *, timing=None, trace=None) -> Picture:
+    """The linear picture of the subject.
+
+    timing : context manager by label;  trace : called with the state of each refinement
+    """
+    timing = timing or (lambda label: contextlib.nullcontext())
+    surface, camera = subject.surface, subject.view.camera
+    lit = lighting(
+        surface,
+        subject.factors,
+        subject.appearance,
+        transport=subject.traced and subject.traced.transport,
+        timing=timing,
+    )
+    with timing("direct"):
+        seen = pixels(surface, camera, subject.facet)
+        factor, penumbra = pixel_light.direct(surface, lit.lamps, len(lit.E), seen, camera, many=quality.shadow_rays)
+        by_lamps = factor @ lit.E
+    with timing("indirect"):
+        leaves = indirect.gather(
+            surface,
+            lit.shown,
+            lit.lamps,
+            lit.E,
+            seen,
+            by_lamps,
+            n_rays=quality.n_rays,
+            contact=quality.contact,
+            tolerance=quality.tolerance,
+            trace=trace,
+        )
+        between = interpolated(leaves, seen)
+    B = lit.radiosities(by_lamps + between, seen.facet, seen.side, seen.p)
+    mirrored = None
+    if subject.appearance.finish is not None:
+        with timing("reflections"):
+            mirrored = reflections.picture(subject, lit, quality)
+            B += mirrored.linear[seen.y, seen.x]
+    with timing("antialias"):
+        pieces = fragments.fragments(surface, camera, subject.coverage)
+        B_there = _of_fragments(subject, lit, seen, by_lamps, between, pieces)
+        if mirrored is not None:
+            B_there += reflections.of_fragments(subject, lit, pieces, mirrored)
+        linear = compose(subject.facet.shape, seen, B, pieces, B_there)
+    facts = {
+        "iterations": lit.light.iterations,
+        "residual": lit.light.residual,
+        "penumbra_pixels": penumbra,
+        "places": len(leaves),
+        "gathering_rays": leaves.rays.sum(),
+        "texels": len(lit.shown.value),
+        "flux": {"emitted": lit.light.emitted, "absorbed": lit.light.absorbed, "escaped": lit.light.escaped},
+    }
+    if mirrored is not None:
+        facts["reflections"] = mirrored.facts
+    return Picture(linear, lit.light, seen, pieces, facts)
+
+
+def _of_fragments(subject, lit, seen, by_lamps, between, pieces):
+    """(S, C) radiosity of the fragments of mixed pixels: lamps exactly, other light from the pure pixels beside them."""
+    size = (*subject.facet.shape, subject.channels)
+    direct_picture, indirect_picture = np.zeros(size), np.zeros(size)
+    direct_picture[seen.y, seen.x], indirect_picture[seen.y, seen.x] = by_lamps, between
+    direct = fragments.fragment_direct(subject.surface, lit.lamps, len(lit.E), pieces) @ lit.E
+    unseen = np.flatnonzero(~pieces.seen)
+    direct[unseen] = fragments.beside(direct_picture, subject.facet, pieces)[0][unseen]
+    others, found = fragments.beside(indirect_picture, subject.facet, pieces)
+    thin = np.flatnonzero(~found)
+    others[thin] = light_map.looked_up(lit.shown.between, lit.shown, subject.surface, pieces.p[thin], pieces.side[thin])
+    return lit.radiosities(direct + others, pieces.facet, pieces.side, pieces.p)
+
+
+def compose(shape, seen: Pixels, B, pieces: Fragments, B_fragment):
+    """(H, W, C): pixels of one facet show its radiosity, mixed ones the mean of their fragments by area, in linear light."""
+    picture = np.zeros((*shape, B.shape[1]))
+    picture[seen.y, seen.x] = B
+    mixed = np.zeros((len(pieces.pixel), B.shape[1]))
+    owner = np.repeat(np.arange(len(pieces.pixel)), np.diff(pieces.start))
+    np.add.at(mixed, owner, B_fragment * pieces.share[:, None])
+    picture.reshape(-1, B.shape[1])[pieces.pixel] = mixed
+    return picture
+
+
+def warm_up(channels):
+    """Load or compile every kernel of a rendering."""
+    surface = small_room("wall", "wall", "wall", "wall", "lamp", "wall")
+    emitters = lamps.emitters(surface, ["lamp"])
+    mesh = adapt.build(surface, patches=20, max_level=0, contrast=1.0, emitters=emitters)
+    factor = lamps.direct(surface, emitters, mesh.centre, side_normals(surface), mesh.side, 1, n_samples=4)
+    rows, groups = form_factors.rays(surface, mesh, n_rays=16), ("wall", "lamp")
+    factors = FormFactors(mesh, rows, factor, ("lamp",), surface.group[mesh.side // 2], groups, np.ones(2), 1.0)
+    T = np.array([[1, 0, 0, -0.5], [0, 0, -1, 0.5], [0, 1, 0, 1.0], [0, 0, 0, 1]])
+    camera = Camera(np.array([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), 21, 21, T)
+    origin = np.broadcast_to(surface.local.points(camera.centre), (441, 3))
+    triangle, _ = surface.caster.closest(
+        np.hstack([origin, camera.rays(camera.pixels().reshape(-1, 2))]).astype(np.float32)
+    )
+    facet = np.where(triangle >= 0, surface.facet[triangle], -1).reshape(21, 21).astype(np.int32)
+    coverage = {
+        "pixel": np.arange(1, dtype=np.int32),
+        "start": np.array([0, 1], np.int32),
+        "facet": facet[0, :1],
+        "count": np.array([64], np.uint8),
+    }
+    photograph = Photograph(np.full((21, 21, channels), 0.5), 8, False, channels)
+    look = Appearance(np.full((2, channels), 0.5), np.ones((1, channels)))
+    view = View(camera, photograph=photograph, facet=facet)
+    render(Subject(view, surface, factors, coverage, look, Transfer("linear")), Quality(n_rays=16))

@@ -1,0 +1,134 @@
+"""What is to be rendered: a view, its geometry, how it looks, and how well the picture is to be made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lib.core import artefact
+from lib.core.stage import BadInput
+from lib.given.transfer import Transfer, display_of_linear
+from lib.given.view import View
+from lib.light import factors_file, specular_file
+from lib.light import surface as surfaces
+from lib.light.factors_file import FormFactors
+from lib.light.specular_file import Traced
+from lib.light.surface import Surface
+from lib.picture import appearance, display
+from lib.picture.appearance import Appearance
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What a rendering needs. C channels: one where the photograph is grey.
+
+    transfer : how the finished picture is displayed;  traced : light past mirrors and glossy surfaces, where `fit` has traced it
+    coverage : the A-buffer, see lib/buffers/coverage.py
+    """
+
+    view: View
+    surface: Surface
+    factors: FormFactors
+    coverage: dict
+    appearance: Appearance
+    transfer: Transfer
+    traced: Traced | None = None
+    warnings: list = field(default_factory=list)
+
+    @property
+    def channels(self):
+        return self.appearance.channels
+
+    @property
+    def groups(self):
+        return self.factors.groups
+
+    @property
+    def lamp_groups(self):
+        """(L,) numbers of the groups that emit."""
+        return np.array([self.groups.index(name) for name in self.factors.lamps], int)
+
+    @property
+    def facet(self):
+        return self.view.facet
+
+    @property
+    def group(self):
+        """(H, W) int, -1 = nothing."""
+        return np.where(self.facet >= 0, self.surface.group[self.facet], -1)
+
+    @property
+    def pure(self):
+        """(H, W) bool: the pixel shows one facet."""
+        result = self.facet >= 0
+        result.reshape(-1)[np.asarray(self.coverage["pixel"], np.int64)] = False
+        return result
+
+    @property
+    def counted(self):
+        """(H, W) bool: the pixels that say something of the light: of the model, no lamp, neither black nor saturated."""
+        values = self.view.photograph.values
+        usable = (values > 2 / 255).all(axis=2) & ((values < 250 / 255).all(axis=2) | self.view.photograph.linear)
+        return self.pure & usable & ~np.isin(self.group, self.lamp_groups)
+
+    @property
+    def wanted(self):
+        """(H, W, C) the photograph in display values; a linear one under the power 1 / 2.2."""
+        return self.view.photograph.display
+
+    @property
+    def simple(self):
+        """Whether T() is a function of the radiosity alone."""
+        return self.view.photograph.linear or self.transfer.kind in ("gamma", "linear", "srgb")
+
+    def show(self, B):
+        """Linear -> display values in [0, 1], any shape for gamma, linear and srgb, whole pictures for the others."""
+        if self.view.photograph.linear:
+            return display_of_linear(B)
+        if self.simple:
+            return display.finished(B, self.transfer.kind, None, None, None, self.transfer.gamma)
+        return display.finished(B, self.transfer.kind, self.wanted, self.group, self.pure, self.transfer.gamma)
+
+    def quantised(self, shown):
+        """What the file will say, and its largest number; an EXR is compared as it is and shown in 8 bits."""
+        depth = 65535 if self.view.photograph.bits == 16 else 255
+        return (shown if self.view.photograph.linear else np.round(shown * depth) / depth), depth
+
+    def channels_of_file(self, values):
+        """(H, W, C) with as many channels as the photograph's file."""
+        return np.repeat(values, self.view.photograph.channels_in_file // values.shape[2], axis=2)
+
+
+def read(*, model, camera, photograph, facet, formfactors, materials, coverage, specular=None) -> Subject:
+    """All files of a rendering, each checked against the others; BadInput names what does not fit.
+
+    specular : specular.npz of the fit; it is passed over where it was traced for other surfaces than materials.json has
+    """
+    view = View.read(camera=camera, model=model, photograph=photograph, facet=facet)
+    factors = factors_file.read(formfactors, view.model, model)
+    pieces = artefact.read_npz(coverage, "pixel", "start", "facet", "count")
+    if pieces["pixel"].max(initial=-1) >= view.facet.size or pieces["facet"].max(initial=-1) >= view.model.n_facets:
+        raise BadInput(
+            f"{coverage}: pixel, facet: beyond the picture or the model's {view.model.n_facets} facets ({model})"
+        )
+    channels = view.photograph.values.shape[2]
+    look, found, warnings = appearance.read(materials, factors.groups, factors.lamps, channels, view.model.n_facets)
+    traced = specular_file.read(specular) if specular and look.finish is not None else None
+    if traced is not None and not traced.fits(look.finish, len(factors.mesh)):
+        traced = None
+    surface = surfaces.surface(view.model, factors.lamps)
+    transfer = Transfer(found.transfer.kind, found.transfer.gamma or 1.0)
+    return Subject(view, surface, factors, pieces, look, transfer, traced, warnings)
+
+
+@dataclass(frozen=True)
+class Quality:
+    """n_rays : gathering rays at each place;  shadow_rays : per pixel and lamp in a penumbra
+    contact, tolerance : see indirect.gather;  lobe_rays : per pixel of a glossy surface"""
+
+    n_rays: int = 256
+    shadow_rays: int = 64
+    contact: float = 0.35
+    tolerance: float = 0.01
+    lobe_rays: int = 64

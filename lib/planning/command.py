@@ -1,0 +1,101 @@
+"""The command line of a stage, and the files that an edit of reruns it."""
+
+import ast
+import functools
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from lib.core import artefact
+from lib.core.stage import option_of
+from lib.planning.pipeline import REPORTS
+
+
+class Command(NamedTuple):
+    """How a stage is run in one scene."""
+
+    argv: list[str]  # what Make prints can be pasted
+    inputs: list[Path]  # given files and outputs of stages, which the stage depends on
+
+
+def command(plan, stage, python) -> Command:
+    """The command line of a planned stage."""
+    argv, inputs = [python, stage.script], []
+    for option, file in [*stage.reads.items(), *stage.may_read.items()]:
+        words, files = _reading(plan, stage, file)
+        if words:
+            argv += [option_of(option), *words]
+        inputs += files
+    for option, key in stage.facts.items():
+        fact = plan.scene.fact(key)
+        if fact is not None:
+            argv += [option_of(option), fact if key == "scene" else artefact.dumps_json(fact)]
+    for option, file in stage.written.items():
+        argv += [option_of(option), str(plan.destination(stage, file))]
+    argv += ["--report", str(plan.build / stage.report)]
+    for name, value in {**stage.params, **plan.scene.params.get(stage.name, {})}.items():
+        if value is not None:
+            argv += [option_of(name), value if isinstance(value, str) else artefact.dumps_json(value)]
+    return Command(argv, list(dict.fromkeys(inputs)))
+
+
+def _reading(plan, stage, file):
+    """(words after the option, files to depend on) of one file that a stage reads, or may read."""
+    if file == REPORTS:
+        reports = [plan.build / plan.stages[name].report for name in plan.before(stage)]
+        return [str(path) for path in reports], reports
+    if file.endswith("/"):
+        folder = plan.scene.given(file)
+        if not folder:
+            return [], []
+        return [os.path.join(folder, "")], sorted(p for p in folder.rglob("*") if p.is_file())
+    path = plan.find(file)
+    if not path:
+        return [], []
+    materials = sorted(path.parent.glob("*.mtl")) if path.suffix == ".obj" else []
+    return [str(path)], [plan.certain(file), *materials]
+
+
+# ---- imports ----
+
+
+ASSETS = (".html", ".css", ".js")  # of a package, beside its modules
+
+
+def imports(script, root) -> list[Path]:
+    """The files under root that script imports, at any depth, also inside functions: what an edit of them reruns.
+
+    A package's templates count as well.
+    """
+    found, todo = set(), [Path(script).resolve()]
+    while todo:
+        path = todo.pop()
+        if path in found:
+            continue
+        found.add(path)
+        if path.name == "__init__.py":
+            beside = [*path.parent.glob("*"), *path.parent.glob("templates/*")]
+            found |= {file for file in beside if file.suffix in ASSETS}
+        for name in _imported_names(path, root):
+            parts = name.split(".")
+            for depth in range(1, len(parts) + 1):
+                stem = root.joinpath(*parts[:depth])
+                todo += [p for p in (stem.with_suffix(".py"), stem / "__init__.py") if p.is_file()]
+    return sorted(found - {Path(script).resolve()})
+
+
+@functools.cache
+def _imported_names(path, root):
+    """Dotted names of modules, and of what may be modules, that the file at path imports."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:  # relative
+                package = path.relative_to(root).parent.parts
+                package = package[: len(package) - node.level + 1]
+                base = ".".join([*package, base] if base else package)
+            names |= {base} | {f"{base}.{alias.name}" for alias in node.names}
+    return names

@@ -1,0 +1,71 @@
+"""Names of given files, and quick looks into them; the stages read them in earnest."""
+
+import ast
+import json
+import re
+from pathlib import Path
+
+from lib.core.stage import BadInput
+
+SIDES = ("left", "right")
+PINHOLE = "LENSMODEL_PINHOLE"
+MODEL, PHOTOGRAPH = "model.obj|glb", "left.png|jpg|tif|exr"
+
+
+def photograph_of(side) -> str:
+    """The photograph of one side, as pipeline.yaml names it.
+
+    >>> photograph_of("right")
+    'right.png|jpg|tif|exr'
+    """
+    return PHOTOGRAPH.replace("left", side)
+
+
+def alternatives(file) -> list[str]:
+    """The names that a file may have.
+
+    >>> alternatives("left.png|jpg"), alternatives("pose.json")
+    (['left.png', 'left.jpg'], ['pose.json'])
+    """
+    stem, dot, extensions = file.rpartition(".")
+    return [f"{stem}{dot}{extension}" for extension in extensions.split("|")]
+
+
+def here(path) -> Path:
+    """Paths below the working directory without it: what Make prints stays short, and a project can move."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
+# ---- quick looks; where a file cannot be read, the stage that needs it says why ----
+
+
+def model_groups(path) -> set[str] | None:
+    """The groups of a model as its text names them, or None where they cannot be told."""
+    try:
+        data = path.read_bytes()
+        if path.suffix == ".obj":
+            names = re.findall(rb"^[ \t]*usemtl[ \t]+([^\r\n]*?)[ \t]*\r?$", data, re.M)
+            return {name.decode("utf-8", "replace") for name in names}
+        length = int.from_bytes(data[12:16], "little")
+        names = {material["name"] for material in json.loads(data[20 : 20 + length])["materials"]}
+        return names if data[:4] == b"glTF" else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def lens_of(path) -> str | None:
+    """The lens model that a camera file names, or None where the file cannot be read."""
+    try:
+        return ast.literal_eval(path.read_text(encoding="utf-8"))["lensmodel"]
+    except (OSError, ValueError, SyntaxError, KeyError, TypeError, RecursionError, MemoryError):
+        return None
+
+
+def centre_of(path) -> list[float] | None:
+    """The centre of a given camera in its reference frame, or None where the file cannot be read."""
+    from lib.given import lenses  # NumPy: most plans do without, see tests/test_layers.py
+
+    try:
+        return lenses.read(path).centre.tolist()
+    except BadInput:
+        return None

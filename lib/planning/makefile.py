@@ -1,0 +1,184 @@
+"""build/<scene>/plan.mk: a plan as plain Make.
+
+A stage depends on its inputs, its script, the modules that the script imports, and its own command line.  The command
+line is a file, build/<scene>/commands/<stage>, that changes only when its content does.
+"""
+
+import re
+import shlex
+from pathlib import Path
+
+from lib.core import artefact
+from lib.core.stage import BadInput
+from lib.planning import folder
+from lib.planning.command import command, imports
+from lib.planning.files import here
+from lib.planning.walk import explain
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAD = """
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+.SUFFIXES:
+MAKEFLAGS += --no-builtin-rules --no-print-directory
+.PHONY: done
+"""
+CHECK = (
+    '\t@for file in {}; do [ -e "$$file" ]'
+    ' || {{ echo "$$file: its stage ended well but did not write it" >&2; exit 1; }}; done'
+)
+
+
+def write(plan, python, root=ROOT, title=None):
+    """Write plan.mk and the command files, each only where its content changes; given files are opened first."""
+    checked = inspect(plan)
+    text, commands = makefile(plan, python, root, title)
+    commands |= checked
+    plan.build.mkdir(parents=True, exist_ok=True)
+    for place in (plan.build, plan.build / "commands"):
+        artefact.remove_partials(place)
+    for path, content in commands.items():
+        _write(path, content)
+    for stamp in (plan.build / "commands").glob("copy.*"):
+        goal = stamp.name.removeprefix("copy.")
+        if not plan.scene.given(goal):  # it was given and is no more: its copy must not pass for made
+            (plan.build / goal).unlink(missing_ok=True)
+            stamp.unlink()
+    _write(plan.build / "plan.mk", text)
+
+
+def inspect(plan) -> dict[Path, str]:
+    """{commands/checked: which given files were opened and found good}.
+
+    They are not opened again until one changes.  Raises BadInput with a line for each that cannot be used.
+    """
+    files = {file for name in plan.planned for file in plan.stages[name].reads.values() if plan.scene.given(file)}
+    paths = [path for file in sorted(files) if (path := plan.scene.given(file)).is_file()]
+    names = {key: sorted(getattr(plan.scene, key)) for key in ("lamps", "reference", "surfaces")}
+    content = "\n".join([artefact.dumps_json(names), *map(_stamp, paths)]) + "\n"
+    checked = plan.build / "commands" / "checked"
+    if not _holds(checked, content) and (problems := folder.inspect(plan.scene, files)):
+        raise BadInput(*problems)
+    return {checked: content}
+
+
+def makefile(plan, python, root=ROOT, title=None) -> tuple[str, dict[Path, str]]:
+    """(text of plan.mk, {path: content of the command files})."""
+    commands, rules = {}, []
+    for goal in plan.goals:
+        if plan.scene.given(goal):
+            rules.append(_copying(plan, goal, commands))
+    for name in plan.planned:
+        rules.append(_running(plan, plan.stages[name], python, root, commands))
+    return _head(plan, title or plan.scene.name) + "\n" + "\n".join(rules), commands
+
+
+# ---- parts of plan.mk ----
+
+
+def _head(plan, title):
+    """What comes first: the plan in words, and the target `done`, which says how it went."""
+    paths = {goal: plan.build / goal for goal in plan.goals}
+    waits_for = {goal: path if plan.scene.given(goal) else plan.certain(goal) for goal, path in paths.items()}
+    sure = [path for goal, path in paths.items() if waits_for[goal] == path]
+    page = next((path for path in sure if path.name == "report.html"), None)
+    lines = [f"done: {' '.join(map(_make, dict.fromkeys(waits_for.values())))}"]
+    if sure:
+        lines.append(CHECK.format(_shell(sure)))
+    for goal in (goal for goal, path in paths.items() if path not in sure):  # which a stage need not write
+        missing = _shell([f"{goal}: not written: the scene has none"])
+        lines.append(f"\t@[ -e {_shell([paths[goal]])} ] || echo {missing}")
+    for name in plan.planned:
+        report = _shell([plan.build / plan.stages[name].report])
+        said = _shell([f"{title}: {name}: not converged"])
+        lines.append(f'\t@if grep -qs \'"status": "not converged"\' {report}; then echo {said}; fi')
+    lines.append("\t@echo " + _shell([f"{title}: {page or ' '.join(map(str, sure))}"]))
+    words = "# Written by lib/planning/plan.py; do not edit.\n# " + explain(plan).replace("\n", "\n# ") + "\n"
+    return words + HEAD + "\n".join(lines) + "\n"
+
+
+def _copying(plan, goal, commands):
+    """The rule of a goal that is given."""
+    given, target = plan.scene.given(goal), plan.build / goal
+    stamp, partial = plan.build / "commands" / f"copy.{goal}", plan.build / "scratch" / "copy" / goal
+    commands[stamp] = _stamp(given) + "\n"
+    return (
+        f"{_make(target)}: {_make(given)} {_make(stamp)}\n"
+        f"\t@mkdir -p -- {_shell([partial.parent, target.parent])}\n"
+        f"\t{_shell(['cp', '--', given, partial])} && {_shell(['mv', '--', partial, target])}\n"
+    )
+
+
+def _running(plan, stage, python, root, commands):
+    """The rule of a stage."""
+    scene, build = plan.scene, plan.build
+    argv, inputs = command(plan, stage, python)
+    stamp = build / "commands" / stage.name
+    given = [path for path in inputs if not path.is_relative_to(build)]
+    commands[stamp] = "\n".join([shlex.join(argv), *map(_stamp, given)]) + "\n"
+    modules = [here(path) for path in imports(stage.script, root)]
+    targets = [build / file for file in stage.outputs if not scene.given(file)]
+    stale = [build / file for file in stage.may_write.values() if not scene.given(file)]
+    scratch = build / "scratch" / stage.name if any(scene.given(file) for file in stage.written.values()) else None
+    prerequisites = [*inputs, stage.script, *modules, stamp]
+    lines = [f"{' '.join(map(_make, targets))} &: \\\n  {' '.join(map(_make, prerequisites))}"]
+    if stale:
+        lines.append(f"\t@rm -f -- {_shell(stale)}")
+    if scratch:
+        lines.append(f"\t@rm -rf -- {_shell([scratch])}; mkdir -p {_shell([scratch])}")
+    lines.append("\t" + _broken(argv))
+    if scratch:
+        lines.append(f"\t@rm -rf -- {_shell([scratch])}")
+    return "\n".join(lines) + "\n"
+
+
+# ---- words of Make and of the shell ----
+
+
+def _make(path):
+    """A path as a target or prerequisite."""
+    text = str(path)
+    if re.search(r"[\n\t;:=*?\[\]%|&<>\"'`\\~]", text):
+        raise BadInput(f"{text}: Make cannot handle a file of this name")
+    return text.replace("$", "$$").replace("#", r"\#").replace(" ", r"\ ")
+
+
+def _shell(words):
+    return " ".join(shlex.quote(str(word)) for word in words).replace("$", "$$")
+
+
+def _broken(argv, width=118):
+    """The command line over several lines, broken before options; one that does not fit on a line, before words."""
+    groups = []
+    for word in argv:
+        if not groups or word.startswith("--") or len(_shell([*groups[-1], word])) > width - 4:
+            groups.append([])
+        groups[-1].append(word)
+    lines, line = [], ""
+    for text in map(_shell, groups):
+        if line and len(line) + len(text) > width:
+            lines.append(line)
+            line = "   "
+        line += (" " if line else "") + text
+    return " \\\n\t".join([*lines, line])
+
+
+# ---- files that change only when their content does ----
+
+
+def _holds(path, text):
+    return path.is_file() and path.read_text(encoding="utf-8") == text
+
+
+def _write(path, text):
+    """Written only when it changes, and whole."""
+    if not _holds(path, text):
+        with artefact.writing(path) as partial:
+            Path(partial).write_text(text, encoding="utf-8")
+
+
+def _stamp(path):
+    """Tells a given file from another put in its place, an older one too, which Make alone would not notice."""
+    status = path.stat()
+    return f"{path} {status.st_size} {status.st_mtime_ns}"

@@ -1,0 +1,126 @@
+"""pipeline.yaml as stages: what each reads and writes, its facts, numbers and needs."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from lib.core.stage import BadInput
+from lib.planning.files import here
+from lib.planning.yaml_file import read_yaml
+
+REPORTS = "*.report.json"  # of the planned stages above
+FACTS = ("board", "lens", "lamps", "lamp_groups", "reference", "transfer", "surfaces", "augment", "scene")
+FILES = ("reads", "may_read", "writes", "may_write")
+ENTRY = ("script", *FILES, "facts", "params", "sweep", "needs")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """An entry of pipeline.yaml; files are named by option."""
+
+    name: str
+    script: str  # as the command line names it
+    reads: dict = field(default_factory=dict)  # option -> file
+    may_read: dict = field(default_factory=dict)
+    writes: dict = field(default_factory=dict)
+    may_write: dict = field(default_factory=dict)  # written only where a scene has it
+    facts: dict = field(default_factory=dict)  # option -> key of scene.yaml
+    params: dict = field(default_factory=dict)  # name -> default
+    sweep: dict = field(default_factory=dict)
+    needs: dict = field(default_factory=dict)  # what of the system -> the given file that calls for it; None: always
+
+    @property
+    def report(self) -> str:
+        return f"{self.name}.report.json"
+
+    @property
+    def written(self) -> dict:
+        """option -> file, of all that the stage writes or may write, but the report."""
+        return {**self.writes, **self.may_write}
+
+    @property
+    def outputs(self) -> list[str]:
+        """The files that are there when the stage has ended well."""
+        return [*self.writes.values(), self.report]
+
+    @property
+    def files(self) -> list[str]:
+        """The files that may be there when the stage has ended well."""
+        return [*self.written.values(), self.report]
+
+    @property
+    def built(self) -> bool:
+        return Path(self.script).is_file()
+
+    def within(self, scene) -> "Stage":
+        """This stage in one scene: <left> and so on are files.
+
+        Where the scene has no right photograph and the stage can do without, what it would write of it falls away.
+        """
+        views = scene.views
+        reads, may_read, writes, may_write = (
+            {option: views.get(file, file) for option, file in getattr(self, key).items()} for key in FILES
+        )
+        if "photograph_right" in may_read and reads:
+            if scene.given("right.png|jpg|tif|exr"):
+                reads["photograph_right"] = may_read.pop("photograph_right")
+            else:
+                writes, may_write = _without_right(writes), _without_right(may_write)
+        return replace(self, reads=reads, may_read=may_read, writes=writes, may_write=may_write)
+
+
+def _without_right(files):
+    return {option: file for option, file in files.items() if not option.endswith("_right")}
+
+
+def read_pipeline(path) -> dict[str, Stage]:
+    """The stages of pipeline.yaml by name, in order.  BadInput where it contradicts itself."""
+    path = Path(path)
+    entries = read_yaml(path) or {}
+    stages = {name: _stage(path, name, entry) for name, entry in entries.items()}
+    writers = {}  # file -> the first stage that writes it
+    problems = []
+    for name, stage in stages.items():
+        problems += [f"{path}: {problem}" for problem in _entry_problems(stage, entries[name])]
+        for file in stage.written.values():
+            if file in writers:
+                problems.append(f"{path}: {name}.writes: {file} is written by {writers[file].name} too")
+            else:
+                writers[file] = stage
+    problems += [f"{path}: {problem}" for problem in _reading_problems(stages, writers)]
+    if problems:
+        raise BadInput(*problems)
+    return stages
+
+
+def _stage(path, name, entry):
+    script = path.resolve().parent / "stages" / f"{entry.get('script', name)}.py"
+    known = {key: value for key, value in entry.items() if key in ENTRY and key != "script"}
+    return Stage(name, str(here(script)), **known)
+
+
+def _entry_problems(stage, entry):
+    """What is wrong with one entry, whatever the others are."""
+    name = stage.name
+    for key in sorted(entry.keys() - set(ENTRY)):
+        yield f"{name}.{key}: unknown key; known are {', '.join(ENTRY)}"
+    for option, key in stage.facts.items():
+        if key not in FACTS:
+            yield f"{name}.facts.{option}: {key} is no fact"
+    for key in stage.sweep:
+        if key not in stage.params:
+            yield f"{name}.sweep.{key}: no such parameter"
+    options = [option for key in (*FILES, "facts", "params") for option in getattr(stage, key)]
+    for option in sorted({o for o in options if options.count(o) > 1}):
+        yield f"{name}: the option {option} stands there twice"
+
+
+def _reading_problems(stages, writers):
+    """Files that are read before they are written, or that are counted on though they may be missing."""
+    order = list(stages)
+    for name, stage in stages.items():
+        for file in [*stage.reads.values(), *stage.may_read.values()]:
+            if file in writers and order.index(writers[file].name) >= order.index(name):
+                yield f"{name} reads {file}, which {writers[file].name} writes only later"
+        for option, file in stage.reads.items():
+            if file in writers and file in writers[file].may_write.values():
+                yield f"{name}.reads.{option}: {writers[file].name} need not write {file}: list it under may_read"

@@ -1,0 +1,212 @@
+"""The rules of data/SCENE.md, section 3: one function for each key of scene.yaml.
+
+Each yields (field, value, what is wrong).
+"""
+
+import json
+import math
+import re
+from pathlib import Path
+
+NAME = re.compile(r"[A-Za-z0-9_-]+")
+KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "goals", "augment", "params")
+TRANSFERS = ("gamma", "linear", "srgb", "curve", "linear_per_group", "histogram", "histogram_per_group")
+KINDS = ("diffuse", "mirror", "coloured_mirror", "glossy", "textured")
+
+
+def show(value) -> str:
+    """A value in a message, on one line of at most 80 characters."""
+    try:
+        text = json.dumps(value, default=str, ensure_ascii=False)
+    except (ValueError, TypeError):  # holds itself, or keys that JSON has not
+        text = str(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def finite(value) -> bool:
+    """A number, and neither a boolean nor infinite.
+
+    >>> [finite(v) for v in (1, 0.5, True, float("nan"), "1", 10**400)]
+    [True, True, False, False, False, False]
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
+
+
+# ---- the rules, one function for each key ----
+
+
+def _mapping(key, value):
+    """The entries of a mapping from names; yields its own problems and returns the rest."""
+    if not isinstance(value, dict):
+        yield key, value, "is not a mapping"
+        return {}
+    for name in value:
+        if not isinstance(name, str) or not name:
+            yield key, name, "is not a name (quote it)"
+    return {name: item for name, item in value.items() if isinstance(name, str) and name}
+
+
+def _three(key, value, low, high, what):
+    if not (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
+    ):
+        yield key, value, f"is not a list of three numbers{what}"
+    elif not all(map(finite, value)):
+        yield key, value, "is not finite"
+    elif not all(low <= v <= high for v in value):
+        yield key, value, "is negative" if high == math.inf else f"is outside [{low}, {high}]"
+
+
+def board(value):
+    known = yield from _mapping("board", value)
+    for key in sorted(known.keys() - {"corners", "square_m"}):
+        yield f"board.{key}", known[key], "is an unknown key; known are corners, square_m"
+    for key in [k for k in ("corners", "square_m") if k not in known]:
+        yield f"board.{key}", None, "is missing"
+    corners = known.get("corners", [2, 2])
+    if not (isinstance(corners, list) and len(corners) == 2 and all(type(c) is int and c >= 2 for c in corners)):
+        yield "board.corners", corners, "is not two whole numbers of at least 2"
+    square = known.get("square_m", 1.0)
+    if not (finite(square) and square > 0):
+        yield "board.square_m", square, "is not a positive length in metres"
+
+
+def lens(value):
+    if not (isinstance(value, str) and re.fullmatch(r"LENSMODEL_[A-Z0-9]+(_[A-Za-z0-9_.=-]+)?", value)):
+        yield "lens", value, "is not a name of a mrcal lens model, LENSMODEL_..."
+
+
+def lamps(value):
+    for name, emittance in (yield from _mapping("lamps", value)).items():
+        if emittance != "unknown":
+            yield from _three(f"lamps.{name}", emittance, 0, math.inf, " or `unknown`")
+
+
+def reference(value):
+    for name, rho in (yield from _mapping("reference", value)).items():
+        yield from _three(f"reference.{name}", rho, 0, 1, "")
+
+
+def transfer(value):
+    if isinstance(value, dict):
+        for key in sorted(map(str, value.keys() - {"gamma"})):
+            yield f"transfer.{key}", value.get(key), "is an unknown key; known is gamma"
+        if "gamma" not in value:
+            yield "transfer.gamma", None, "is missing"
+        elif not (finite(value["gamma"]) and value["gamma"] > 0):
+            yield "transfer.gamma", value["gamma"], "is not a positive number"
+    elif not isinstance(value, str) or value not in TRANSFERS:
+        yield "transfer", value, f"is none of {', '.join(TRANSFERS)}, {{gamma: 2.2}}"
+    elif value == "curve":
+        yield "transfer", value, "is not built yet"
+
+
+def surfaces(value):
+    for name, kind in (yield from _mapping("surfaces", value)).items():
+        if not isinstance(kind, str) or kind not in KINDS:
+            yield f"surfaces.{name}", kind, f"is none of {', '.join(KINDS)}"
+
+
+def goals(value, known, scene):
+    if not isinstance(value, list):
+        yield "goals", value, "is not a list"
+        return
+    for goal in value:
+        if not isinstance(goal, str) or not goal:
+            yield "goals", goal, "is not a file's name"
+        elif outside(goal):
+            yield "goals", goal, "lies outside the scene's folder"
+        elif goal not in known and not (scene.given(goal) and "|" not in goal and not goal.startswith("truth/")):
+            yield "goals", goal, "is neither made by a stage nor given"
+
+
+def outside(path) -> bool:
+    """An absolute path, or one that climbs.
+
+    >>> outside("a/../../b"), outside("/a"), outside("a/../b")
+    (True, True, False)
+    """
+    depth = 0
+    for part in Path(path).parts:
+        depth += -1 if part == ".." else 1
+        if depth < 0 or part == "/":
+            return True
+    return False
+
+
+def augment(value, scene):
+    if not isinstance(value, list):
+        yield "augment", value, "is not a list"
+        return
+    names = set()
+    for number, entry in enumerate(value):
+        where = f"augment[{number}]"
+        if not isinstance(entry, dict):
+            yield where, entry, "is not a mapping"
+            continue
+        for key in entry.keys() - {"name", "camera", "add", "change"}:
+            yield f"{where}.{key}", entry[key], "is an unknown key; known are name, camera, add, change"
+        name = entry.get("name")
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            yield f"{where}.name", name, "is not a name of letters, digits, _ and -"
+        elif name in names:
+            yield f"{where}.name", name, "stands there twice"
+        else:
+            names.add(name)
+        add = entry.get("add")
+        files = {"camera": entry.get("camera"), "add.file": add.get("file") if isinstance(add, dict) else None}
+        for key, file in files.items():
+            if file is None:
+                continue
+            if not isinstance(file, str):
+                yield f"{where}.{key}", file, "is not a file's name"
+            elif outside(file):
+                yield f"{where}.{key}", file, "lies outside the scene's folder"
+            elif not (scene.folder / file).is_file():
+                yield f"{where}.{key}", file, "is not in the scene's folder"
+    if value:
+        yield "augment", [e.get("name") if isinstance(e, dict) else e for e in value], "is not built yet"
+
+
+def params(value, stages):
+    for stage, settings in (yield from _mapping("params", value)).items():
+        if stage not in stages:
+            yield f"params.{stage}", settings, f"belongs to no stage; stages are {', '.join(stages)}"
+            continue
+        known = stages[stage].params
+        for name, setting in (yield from _mapping(f"params.{stage}", settings)).items():
+            where = f"params.{stage}.{name}"
+            if name not in known:
+                yield where, setting, f"is no number of {stage}, which has {', '.join(known) or 'none'}"
+            else:
+                yield from _param(where, setting, known[name])
+
+
+def _param(where, value, default):
+    """The kind of value that the default is; where there is no default, any plain one."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield where, value, "is not finite"
+    elif isinstance(default, bool):
+        if not isinstance(value, bool):
+            yield where, value, "is neither true nor false"
+    elif isinstance(default, int):
+        if type(value) is not int:
+            yield where, value, "is not a whole number"
+    elif isinstance(default, float):
+        if not finite(value):
+            yield where, value, "is not a number"
+    elif default == "auto":
+        if not (value == "auto" or finite(value)):
+            yield where, value, "is neither a number nor `auto`"
+    elif isinstance(default, str):
+        if not isinstance(value, str):
+            yield where, value, "is not a word"
+    elif not isinstance(value, (int, float, str)):
+        yield where, value, "is neither a number nor a word"

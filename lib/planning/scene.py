@@ -1,0 +1,171 @@
+"""A scene is a folder: what lies in it is given.
+
+This reads scene.yaml and refuses what the contract (data/SCENE.md) does.  All problems are reported at once, one line
+each, `<folder>/scene.yaml: field: value ...`.  What the contract allows but is not built yet is refused here too, in a
+line that says so.  Only PyYAML is needed.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from lib.core.stage import BadInput
+from lib.planning import rules
+from lib.planning.files import PHOTOGRAPH, PINHOLE, SIDES, alternatives, centre_of, lens_of, photograph_of
+from lib.planning.folder import folder_problems
+from lib.planning.rules import KEYS, show
+from lib.planning.yaml_file import read_yaml
+
+GOALS = ("materials.json", "rendered.png", "report.html")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a scene's folder and its scene.yaml say."""
+
+    name: str
+    folder: Path
+    board: dict | None = None
+    lens: str = "LENSMODEL_OPENCV8"
+    lamps: dict = field(default_factory=dict)  # group -> [r, g, b] emittance, or "unknown"
+    reference: dict = field(default_factory=dict)  # group -> [r, g, b] reflectance
+    transfer: object = None  # a word, or {"gamma": g}
+    surfaces: dict = field(default_factory=dict)  # group -> kind
+    goals: tuple = GOALS
+    augment: tuple = ()
+    params: dict = field(default_factory=dict)  # stage -> name -> value
+    problems: tuple = ()  # one line each; empty if the scene may run
+
+    def given(self, file) -> Path | None:
+        """Where file lies in the folder, or None.  `left.png|jpg` is whichever is there; `boards/` is a folder."""
+        paths = self.candidates(file)
+        return paths[0] if paths else None
+
+    def candidates(self, file) -> list[Path]:
+        """All files in the folder that `file` may mean."""
+        paths = [self.folder / name for name in alternatives(file)]
+        return [p for p in paths if (p.is_dir() if file.endswith("/") else p.is_file())]
+
+    @property
+    def views(self):
+        """What pipeline.yaml's <left>, <left camera> and so on are in this scene (`views` below)."""
+        return {**views(self, "left"), **views(self, "right")}
+
+    def fact(self, key):
+        """What a stage is told of scene.yaml under this key of `facts`; None: nothing."""
+        if key == "lamp_groups":
+            return sorted(self.lamps)
+        if key == "scene":
+            return self.name
+        if key == "transfer" and self.transfer is None:
+            photograph = self.given(PHOTOGRAPH)
+            return "linear" if photograph and photograph.suffix == ".exr" else "gamma"
+        return getattr(self, key)
+
+
+def views(scene, side) -> dict[str, str]:
+    """Of one photograph of the pair, the file that each name in angle brackets of pipeline.yaml stands for.
+
+    <side>            the photograph as the analysis sees it: as taken, or undistorted where the lens is no pinhole
+    <side raw lens>   the camera as calibrated or given, any lens        <side pinhole>   what undistortion writes
+    <side lens>       the same as a pinhole                              <side camera>    a pinhole in the pair's frame
+    <side posed>      a pinhole in the model's frame
+    """
+    posed, own = f"{side}.posed.cameramodel", f"{side}.cameramodel"
+    taken = photograph_of(side)
+    given = scene.given(taken)
+    flat = f"{side}.pinhole.exr" if given and given.suffix == ".exr" else f"{side}.pinhole.png"
+    bent = lens(scene, side) != PINHOLE
+    known = bent and bool(scene.given(posed))  # a pose and a lens: undistortion keeps both
+    straight = f"{side}.pinhole.cameramodel" if bent else own
+    pair = f"{side}.oriented.cameramodel" if unoriented(scene) else straight
+    if not bent and all(scene.given(f"{s}.posed.cameramodel") for s in SIDES):
+        pair = posed
+    return {
+        f"<{side}>": flat if bent else taken,
+        f"<{side} raw lens>": posed if known else own,
+        f"<{side} pinhole>": flat,
+        f"<{side} lens>": straight,
+        f"<{side} camera>": pair,
+        f"<{side} posed>": straight if known else posed,
+    }
+
+
+def lens(scene, side) -> str:
+    """The lens model of one camera, as far as it is known before anything runs.
+
+    mrcal fits the one that scene.yaml names.
+    """
+    for name in (f"{side}.posed.cameramodel", f"{side}.cameramodel"):
+        if path := scene.given(name):
+            return lens_of(path) or PINHOLE
+    return scene.lens if scene.given("boards/") else PINHOLE
+
+
+def unoriented(scene) -> bool:
+    """Is the relative pose of the pair to be estimated?
+
+    Yes for two given lenses of one centre (to 1e-9 m), or where nothing is given at all.
+    """
+    if all(scene.given(f"{side}.posed.cameramodel") for side in SIDES):
+        return False
+    paths = [scene.given(f"{side}.cameramodel") for side in SIDES]
+    if not all(paths):
+        return not any(paths) and not scene.given("boards/")
+    centres = [centre_of(path) for path in paths]
+    return all(centres) and max(abs(a - b) for a, b in zip(*centres, strict=True)) <= 1e-9
+
+
+def read(folder, stages) -> Scene:
+    """The scene in folder, with its problems listed in `.problems`.
+
+    stages : name -> pipeline.Stage
+
+    Raises BadInput where scene.yaml is missing or cannot be parsed at all.
+    """
+    folder = Path(folder)
+    path = folder / "scene.yaml"
+    if not path.is_file():
+        raise BadInput(f"{path}: there is no such file; a scene is a folder that holds it")
+    bare = Scene(folder.name, folder)
+    outputs = {bare.views.get(file, file) for stage in stages.values() for file in stage.files}
+    checks = {
+        "board": rules.board,
+        "lens": rules.lens,
+        "lamps": rules.lamps,
+        "reference": rules.reference,
+        "transfer": rules.transfer,
+        "surfaces": rules.surfaces,
+        "goals": lambda v: rules.goals(v, outputs, bare),
+        "augment": lambda v: rules.augment(v, bare),
+        "params": lambda v: rules.params(v, stages),
+    }
+    sound, problems = _checked(path, checks)
+    if "goals" in sound:
+        sound["goals"] = tuple(dict.fromkeys(sound["goals"]))
+    if "augment" in sound:
+        sound["augment"] = tuple(sound["augment"])
+    scene = Scene(folder.name, folder, **sound)
+    return replace(scene, problems=(*problems, *folder_problems(scene)))
+
+
+def _checked(path, checks):
+    """(what is sound of scene.yaml, problems); goals that are not sound are none at all."""
+    facts = read_yaml(path)
+    facts = {} if facts is None else facts
+    if not isinstance(facts, dict):
+        raise BadInput(f"{path}: {show(facts)} is not a mapping of keys to values")
+    sound, problems = {}, []
+    for key, value in facts.items():
+        if key not in checks:
+            found = [(key, value, f"is an unknown key; known are {', '.join(KEYS)}")]
+        elif value is None:
+            found = [(key, value, "is empty: leave the key out or give it a value")]
+        else:
+            found = list(checks[key](value))
+        for where, item, wrong in found:
+            problems.append(f"{path}: {where}: {'' if item is None else show(item) + ' '}{wrong}")
+        if not found:
+            sound[key] = value
+        elif key == "goals":
+            sound[key] = ()
+    return sound, problems

@@ -1,0 +1,217 @@
+"""The walk back from what is wished for: which stages run, and why the others do not.
+
+Three rules: a file in the scene's folder is given; a stage runs only if one of its files is needed; a `may_read` file
+is passed on when it is there and pulls nothing in.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lib.core.stage import BadInput
+from lib.planning import doctor
+from lib.planning.files import SIDES, alternatives
+from lib.planning.pipeline import REPORTS, Stage
+from lib.planning.scene import Scene
+
+CLOSING = ("scorecard.csv",)  # a goal of every scene, whatever it says
+
+
+@dataclass
+class Plan:
+    """What runs for one scene."""
+
+    scene: Scene
+    stages: dict[str, Stage]  # every stage of the pipeline, in order
+    build: Path  # build/<scene>
+    planned: list[str]  # names, in order
+    goals: list[str]  # files
+    passed_over: dict[str, str]  # stage -> its output that was needed but is given
+
+    def before(self, stage) -> list[str]:
+        """The planned stages above one."""
+        order = list(self.stages)
+        return [name for name in self.planned if order.index(name) < order.index(stage.name)]
+
+    def writer(self, file) -> tuple[Stage, str] | None:
+        """The planned stage that writes file or may write it, and which of the alternatives; None where none does."""
+        for stage in map(self.stages.get, self.planned):
+            for name in alternatives(file):
+                if name in stage.files:
+                    return stage, name
+        return None
+
+    def find(self, file) -> Path | None:
+        """Where the reader of file looks for it: given, or made by a planned stage; else None."""
+        if given := self.scene.given(file):
+            return given
+        made = self.writer(file)
+        return self.build / made[1] if made else None
+
+    def certain(self, file) -> Path | None:
+        """What Make can wait for: `find`, or the writer's report where a planned stage need not write the file."""
+        made = None if self.scene.given(file) else self.writer(file)
+        if made and made[1] not in made[0].outputs:
+            return self.build / made[0].report
+        return self.find(file)
+
+    def destination(self, stage, file) -> Path:
+        """A given file is never overwritten: what the stage makes of it goes to a scratch folder."""
+        return self.build / "scratch" / stage.name / file if self.scene.given(file) else self.build / file
+
+
+def walk(scene, stages, build, wishes=(None,)) -> Plan:
+    """The plan for the wishes: None for the scene's goals, else a stage's name.
+
+    "Up to one stage" takes in what that stage may read if the scene's goals have it made: its command line, and so its
+    answer, are those of the whole scene.
+
+    Raises BadInput that lists every problem, the scene's too.
+    """
+    stages = {name: stage.within(scene) for name, stage in stages.items()}
+    closing = [goal for goal in CLOSING if any(goal in s.files for s in stages.values())]
+    whole = _Walk(scene, stages)
+    for goal in [*scene.goals, *closing]:
+        whole.need(goal, goal)
+    walks, goals, problems = [], [], list(scene.problems)
+    for wish in wishes:
+        if wish is None:
+            walks.append(whole)
+            goals += [*scene.goals, *closing]
+        elif wish in stages:
+            walks.append(_Walk(scene, stages, whole.planned))
+            walks[-1].plan(stages[wish], f"{scene.name}/{wish}")
+            goals += [file for file in stages[wish].outputs if not scene.given(file)]
+        else:
+            problems.append(f"{scene.name}/{wish}: there is no such stage; stages are {', '.join(stages)}")
+    planned = [name for name in stages if any(name in way.planned for way in walks)]
+    passed_over = {name: file for way in walks for name, file in way.passed_over.items()}
+    plan = Plan(scene, stages, Path(build) / scene.name, planned, list(dict.fromkeys(goals)), passed_over)
+    problems += [problem for way in walks for problem in way.problems]
+    problems += [*_missing_facts(plan), *_missing_of_the_system(plan)]
+    if problems:
+        raise BadInput(*dict.fromkeys(problems))
+    return plan
+
+
+class _Walk:
+    """Back from files that are needed; `optional`: stages whose files are worth passing on, though only if may-read."""
+
+    def __init__(self, scene, stages, optional=frozenset()):
+        self.scene, self.stages, self.optional = scene, stages, optional
+        self.writer = {file: stage for stage in stages.values() for file in stage.files}
+        self.planned, self.passed_over, self.problems, self.seen = set(), {}, [], set()
+
+    def refuse(self, problem):
+        self.problems.append(f"{self.scene.folder / 'scene.yaml'}: goals: {problem}")
+
+    def maker(self, file):
+        """The stage that makes file, or None."""
+        return next((self.writer[name] for name in alternatives(file) if name in self.writer), None)
+
+    def need(self, file, goal, reader=None):
+        """File must be there, for the sake of goal."""
+        if file in self.seen:
+            return
+        self.seen.add(file)
+        maker = self.maker(file)
+        if given := self.scene.given(file):
+            if maker:
+                self.passed_over[maker.name] = given.name
+        elif maker:
+            self.plan(maker, goal, file)
+        elif reader:
+            names = " or ".join(alternatives(file))
+            self.refuse(f"{goal} needs {names}, which is not in the scene's folder (stage {reader.name})")
+        else:
+            self.refuse(f"{goal} is neither made by a stage nor given")
+
+    def plan(self, stage, goal, file=None):
+        """Stage must run, for the sake of goal, because of file."""
+        if stage.name in self.planned:
+            return
+        self.planned.add(stage.name)
+        if not stage.built:
+            wanted = "" if file in (None, goal) else f" needs {' or '.join(alternatives(file))}, which is not given"
+            self.refuse(f"{goal}{wanted}: the stage {stage.name} is not built yet")
+            return
+        for read in stage.reads.values():
+            self.need(read, goal, stage)
+        for read in stage.may_read.values():
+            for name in self.optional_makers(read, stage):
+                self.plan(self.stages[name], goal)
+
+    def optional_makers(self, file, reader):
+        """The stages that make what reader may read, if they are worth it."""
+        if file == REPORTS:
+            makers = list(self.stages)[: list(self.stages).index(reader.name)]
+        else:
+            maker = None if self.scene.given(file) else self.maker(file)
+            makers = [maker.name] if maker else []
+        return [name for name in makers if name in self.optional]
+
+
+# ---- what only matters once it is known which stages run ----
+
+
+def _missing_facts(plan):
+    """Lamps, a board, or the other camera that a planned stage needs to know."""
+    scene, yaml = plan.scene, plan.scene.folder / "scene.yaml"
+    said = lambda key: any(problem.startswith(f"{yaml}: {key}") for problem in scene.problems)
+    photometry = [n for n in plan.planned if {"lamps", "lamp_groups"} & set(plan.stages[n].facts.values())]
+    if photometry and not scene.lamps and not said("lamps"):
+        yield f"{yaml}: lamps: missing, and {photometry[0]} needs to know which groups emit"
+    calibrators = [n for n in plan.planned if "board" in plan.stages[n].facts.values()]
+    if not calibrators:
+        return
+    boards = scene.given("boards/")
+    if boards and scene.board is None and not said("board"):
+        yield f"{yaml}: board: missing, and {calibrators[0]} needs to know the corners and squares of {boards}/"
+    lone = [side for side in SIDES if scene.given(f"{side}.cameramodel")]
+    if not boards and len(lone) == 1:
+        camera = scene.folder / f"{lone[0]}.cameramodel"
+        yield f"{camera}: is given, but not that of the other photograph: give both, or none"
+
+
+def _missing_of_the_system(plan):
+    """What planned stages need to be installed."""
+    needs = {
+        need: name
+        for name in plan.planned
+        if plan.stages[name].built
+        for need, file in plan.stages[name].needs.items()
+        if file is None or plan.scene.given(file)
+    }
+    return [problem for need, name in needs.items() for problem in doctor.refusals(need, name)]
+
+
+# ---- in words ----
+
+
+def explain(plan) -> str:
+    """The chain, and a reason for every stage that is left out.
+
+    Also what stages leave out as long as no error asks for it.
+
+    furnace: index -> formfactors -> fit -> render
+      without segment: no goal needs it
+      without recognise: its output is given
+      without mirror buffers, lobes and textures: fit and render make them only where ...
+    """
+    lines = [f"{plan.scene.name}: {' -> '.join(plan.planned) or 'nothing to run'}"]
+    lines += [f"  copied: {goal} is given" for goal in plan.goals if plan.scene.given(goal)]
+    for name, stage in plan.stages.items():
+        kept = [file for file in stage.written.values() if plan.scene.given(file)]
+        if name in plan.planned:
+            lines += [f"  {name} leaves {file} as it is given" for file in kept]
+        elif name in plan.passed_over:
+            lines.append(f"  without {name}: its output is given ({', '.join(kept)})")
+        else:
+            lines.append(f"  without {name}: no goal needs it")
+    if climbs := [name for name in plan.planned if "surfaces" in plan.stages[name].facts.values()]:
+        makers = [*climbs, *(name for name in ("render",) if name in plan.planned)]
+        make = "make" if len(makers) > 1 else "makes"
+        lines.append(
+            f"  without mirror buffers, lobes and textures: {' and '.join(makers)} {make} them only where a group's "
+            "error, or `surfaces`, demands it; never for groups named diffuse"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Scenes of our own making, photographed by Mitsuba 3."""

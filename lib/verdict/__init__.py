@@ -1,0 +1,1 @@
+"""What came out: errors against truth, the scorecard, the page."""

@@ -1,0 +1,131 @@
+"""What the page is made of: read from the files that a scene's stages left, each of which may be missing."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lib.core import artefact, record
+from lib.given import cameras, image, materials, model
+from lib.verdict import records, stage_reports
+from lib.verdict.comparison import Comparison
+from lib.verdict.page.vision import SIDES, Vision, see
+
+LEFT_OUT = re.compile(r"^#   without ([\w-]+): (.*)$", re.MULTILINE)  # in the head of plan.mk
+
+
+@dataclass
+class Parts:
+    """photograph, rendered : (H, W, C) display values in [0, 1], C = 1 or 3;  linear : the photograph is an EXR
+
+    group, object, facet : (H, W) int, index + 1;  hidden, trusted : (H, W) bool;  depth : (H, W) m, 0 = nothing
+    reports : {stage: StageReport};  plan : [(stage, why it was left out)]
+    thumbnails : {group: {facet: ladder.Thumbnail}}
+    """
+
+    scene: str = "scene"
+    photograph: np.ndarray | None = None
+    linear: bool = False
+    rendered: np.ndarray | None = None
+    group: np.ndarray | None = None
+    object: np.ndarray | None = None
+    facet: np.ndarray | None = None
+    hidden: np.ndarray | None = None
+    trusted: np.ndarray | None = None
+    depth: np.ndarray | None = None
+    legend: records.Legend | None = None
+    materials: materials.Materials | None = None
+    scores: records.Scores | None = None
+    comparison: Comparison | None = None
+    reports: dict = field(default_factory=dict)
+    plan: list = field(default_factory=list)
+    thumbnails: dict = field(default_factory=dict)
+    vision: Vision | None = None
+
+    @property
+    def groups(self):
+        """{name: materials.Group} of those that are no lamps."""
+        if not self.materials:
+            return {}
+        return {name: g for name, g in self.materials.groups.items() if name not in self.materials.lamps}
+
+    @property
+    def transfer(self):
+        """The camera's, empty where none was found."""
+        return self.materials.transfer if self.materials else materials.FoundTransfer()
+
+    @property
+    def compared(self):
+        """The comparison with the truth, empty where there is none."""
+        return self.comparison or Comparison()
+
+
+def read(files, scene, reports, page) -> Parts:
+    """files : {name: path or None};  reports : paths of the stages' reports;  page : path of the page
+
+    What the plan left out stands in plan.mk beside the page.
+    """
+
+    def of(name, reader):
+        return reader(files[name]) if files[name] else None
+
+    def labels(name):
+        return of(name, image.read_labels)
+
+    photograph = of("photograph", image.read_photograph)
+    rendered = of("rendered", image.read_photograph)
+    trusted, hidden = labels("trusted"), labels("hidden")
+    return Parts(
+        scene=scene,
+        photograph=photograph.display if photograph else None,
+        linear=bool(photograph and photograph.linear),
+        rendered=rendered.values if rendered else None,
+        group=labels("group"),
+        object=labels("object"),
+        facet=labels("facet"),
+        hidden=None if hidden is None else hidden > 0,
+        trusted=None if trusted is None else trusted > 0,
+        depth=of("depth", image.read_exr),
+        legend=of("legend", lambda path: record.read(path, records.Legend)),
+        materials=of("materials", materials.read),
+        scores=of("scores", lambda path: record.read(path, records.Scores)),
+        comparison=of("comparison", lambda path: record.read(path, Comparison)),
+        reports=stage_reports.read_all(reports),
+        plan=left_out(Path(page).parent / "plan.mk"),
+        vision=_read_vision(files),
+    )
+
+
+def left_out(plan):
+    """[(stage, why)] from the head of plan.mk."""
+    if not plan.is_file():
+        return []
+    return LEFT_OUT.findall(plan.read_text(encoding="utf-8", errors="replace").partition("\n\n")[0])
+
+
+def _read_vision(files):
+    """What there is of the vision half, or None."""
+    if not any(files[name] for name in ("regions", "facets", "pose", "calibration")):
+        return None
+
+    def pair(name, reader):
+        paths = dict(zip(SIDES, (files[name], files[f"{name}_right"]), strict=True))
+        return {side: reader(path) for side, path in paths.items() if path}
+
+    def of(name, cls):
+        return record.read(files[name], cls) if files[name] else None
+
+    return see(
+        photographs=pair("photograph", lambda path: image.read_photograph(path).display),
+        regions=pair("regions", image.read_labels),
+        cameras=pair("camera", cameras.read_cameramodel),
+        matches=artefact.read_matches(files["matches"]) if files["matches"] else None,
+        model=model.load(files["model"]) if files["model"] and files["pose"] else None,
+        facets=of("facets", records.Facets),
+        pose=of("pose", records.Pose),
+        calibration=of("calibration", records.Calibration),
+        orientation=of("orientation", records.Orientation),
+    )

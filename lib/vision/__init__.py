@@ -1,0 +1,1 @@
+"""§2 From two photographs and a model to the posed cameras."""

@@ -1,0 +1,1 @@
+"""§2.3 Planes of matched regions, with their covariance."""

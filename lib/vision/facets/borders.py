@@ -1,0 +1,67 @@
+"""Borders of regions to a part of a pixel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.vision.facets import borders_kernels as kernels
+
+
+@dataclass(frozen=True, eq=False)
+class Borders:
+    """Points of the borders of some regions, grouped by region, in each by v.
+
+    q : (n, 2) px          in the photograph            uv : (n, 2)      rectified pixels
+    normal : (n, 2)        outward, rectified           sigma : (n,) px  along the normal, from the picture's noise
+    bend : (n,) px         how far its neighbours are off a line: borders turn there, or are ragged
+    beyond : (n,)          the label on the other side
+    first : (N + 2,)       those of label l are first[l]:first[l + 1]
+    """
+
+    q: np.ndarray
+    uv: np.ndarray
+    normal: np.ndarray
+    sigma: np.ndarray
+    bend: np.ndarray
+    beyond: np.ndarray
+    first: np.ndarray
+
+
+def borders(pair, labels, values, wanted, side, noise) -> Borders:
+    """The borders of the regions in `wanted` (labels). A picture's own border is none."""
+    n = int(labels.max(initial=0))
+    chosen = np.zeros(n + 1, bool)
+    chosen[wanted] = True
+    q, normal, sigma, owner, beyond = kernels.borders(labels, values, chosen, noise)
+    uv = pair.rectified(q, side)
+    tip = pair.rectified(q + 0.5 * np.column_stack([-normal[:, 1], normal[:, 0]]), side) - uv  # the tangent, rectified
+    normal = np.column_stack([tip[:, 1], -tip[:, 0]])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    keep = np.isfinite(normal).all(axis=1)
+    q, uv, normal, sigma, owner, beyond = (x[keep] for x in (q, uv, normal, sigma, owner, beyond))
+    order = np.lexsort((uv[:, 1], owner))
+    q, uv, normal, sigma, owner, beyond = (
+        np.ascontiguousarray(x[order]) for x in (q, uv, normal, sigma, owner, beyond)
+    )
+    first = np.searchsorted(owner, np.arange(n + 2))
+    normal, bend = kernels.straighten(uv, normal, first)
+    return Borders(q, uv, normal, sigma, bend, beyond, first)
+
+
+def noise(values, labels):
+    """Standard deviation of the picture's noise, from differences of pixels 3 apart in one region; at least an 8-bit rounding.
+
+    Not from neighbours: resampled and compressed pictures have noise that neighbours share.
+    """
+    pairs = [
+        (values[:, 3:] - values[:, :-3])[labels[:, 3:] == labels[:, :-3]],
+        (values[3:] - values[:-3])[labels[3:] == labels[:-3]],
+    ]
+    difference = np.abs(np.concatenate(pairs))
+    least = 1 / 255 / np.sqrt(12)
+    return float(max(1.4826 * np.median(difference) / np.sqrt(2), least)) if len(difference) > 100 else 1 / 255
+
+
+def of(borders, label):
+    part = slice(borders.first[label], borders.first[label + 1])
+    return borders.uv[part], borders.normal[part], borders.sigma[part], borders.bend[part]

@@ -1,0 +1,1 @@
+"""§2.4 Which part of the model the reconstructed facets show, and from where."""

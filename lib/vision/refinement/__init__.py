@@ -1,0 +1,1 @@
+"""§2.4 The pose that puts the model's edges on those of both photographs."""

@@ -1,0 +1,66 @@
+"""What the photographs' edges say for and against a pose, in nats."""
+
+import math
+
+import numpy as np
+
+from lib.vision.refinement.edges import find, visible_samples
+
+
+def witnesses_of(model, edges, rig, pyramids, T, scale):
+    """Per side (q, normal, hit, beside): the predicted visible edges every 5 px, whether an edge is found within 1.5 px, and how often 9 px beside."""
+    sides = []
+    for side, camera in enumerate(rig.cameras(T, scale)):
+        s = visible_samples(model, edges, camera, 1, step_px=5.0, reach=4)
+        hit = []
+        for shift in (0.0, 9.0, -9.0):
+            offset, strength, _ = find(pyramids[side][1], s.q + shift * s.normal, s.normal, 1.5)
+            hit.append((strength > 0) & (np.abs(offset) < 1.5))
+        sides.append((s.q, s.normal, hit[0], (hit[1].astype(float) + hit[2]) / 2))
+    return sides
+
+
+def _nats(hits, number, chance):
+    """What so many hits are worth against chance: one witness for every 25 px of edge; right poses show at least 0.6 of their edges."""
+    return (hits * math.log(0.6 / chance) + (number - hits) * math.log(0.4 / (1 - chance))) / 5
+
+
+def evidence_of(model, edges, rig, pyramids, T, scale):
+    """(support, chance, nats): the share of predicted edges found, the share found beside them, and what that is worth."""
+    sides = witnesses_of(model, edges, rig, pyramids, T, scale)
+    number, hits, beside = (
+        sum(f(s) for s in sides) for f in (lambda s: len(s[0]), lambda s: int(s[2].sum()), lambda s: float(s[3].sum()))
+    )
+    if number == 0:
+        return 0.0, 0.0, 0.0
+    chance = min(max(beside / number, 0.02), 0.5)
+    return hits / number, chance, _nats(hits, number, chance)
+
+
+def refuted(best, rival, support, chance, certain):
+    """Do the photographs tell two poses apart?  By the edges that only one of them predicts (4 px from any of the other's of its direction).
+
+    The gap must be worth `certain` nats, and what the best pose has of its own must be there as the rest of it is; only where it has next to nothing
+    of its own may the rival fall by its own parts alone. A poster that shares two edges with the photographed one makes its room no better
+    than a room without, nor than one with yet another poster.
+    best, rival : of _witnesses
+    """
+    from scipy.spatial import cKDTree
+
+    def alone(mine, others):
+        hits = number = 0
+        for (q, normal, hit, _), (q_other, normal_other, _, _) in zip(mine, others):
+            if not len(q):
+                continue
+            only = np.ones(len(q), bool)
+            if len(q_other):
+                for i, near in enumerate(cKDTree(q_other).query_ball_point(q, 4.0)):
+                    only[i] = not near or np.abs(normal_other[near] @ normal[i]).max() < 0.9
+            hits, number = hits + int(hit[only].sum()), number + int(only.sum())
+        return hits, number
+
+    (hits, number), (hits_rival, number_rival) = alone(best, rival), alone(rival, best)
+    for_best, for_rival = _nats(hits, number, chance), _nats(hits_rival, number_rival, chance)
+    return for_best - for_rival >= certain and (
+        hits >= 0.75 * support * number if number >= 20 else for_rival <= -certain
+    )

@@ -1,0 +1,131 @@
+"""Two cameras that move together: projection and its derivatives."""
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.given.cameras import Camera, rt_from_matrix
+from lib.vision.recognition.closed_form import moved
+from lib.vision.refinement.edges import draw
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One photograph of the pair. camera : in the pair's frame; photograph : image.Photograph; regions : (H, W) int labels, or None"""
+
+    camera: Camera
+    photograph: object
+    regions: np.ndarray = None
+
+
+# Levenberg-Marquardt on one set of correspondences.
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The pair, fixed: its sides, T_side_left of each (the translation in units of the facets), and how far away the model is seen, m."""
+
+    sides: tuple
+    relative: tuple
+    depth: float
+
+    def cameras(self, T, scale):
+        made = []
+        for side, D in zip(self.sides, self.relative):
+            D = D.copy()
+            D[:3, 3] *= scale
+            made.append(Camera(side.camera.K, side.camera.width, side.camera.height, D @ T))
+        return tuple(made)
+
+
+def project(rig, side, T, scale, p, jacobian=False, free=False):
+    """Pixels (N, 2) of world points and, wanted, their derivatives (N, 2, 6 or 7)."""
+    K, D = rig.sides[side].camera.K, rig.relative[side]
+    centre = -T[:3, :3].T @ T[:3, 3]
+    x_left = (p - centre) @ T[:3, :3].T
+    x = x_left @ D[:3, :3].T + scale * D[:3, 3]
+    z = np.where(x[:, 2] > 1e-9, x[:, 2], 1e-9)
+    q = (x / z[:, None]) @ K.T
+    if not jacobian:
+        return q[:, :2]
+    dq = np.zeros((len(p), 2, 3))
+    dq[:, 0, 0], dq[:, 1, 1] = K[0, 0] / z, K[1, 1] / z
+    dq[:, 0, 2], dq[:, 1, 2] = -K[0, 0] * x[:, 0] / z**2, -K[1, 1] * x[:, 1] / z**2
+    dx = np.zeros((len(p), 3, 7 if free else 6))
+    cross = np.zeros((len(p), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = x_left[:, 2], -x_left[:, 1], x_left[:, 0]
+    cross -= cross.transpose(0, 2, 1)
+    dx[:, :, :3] = D[:3, :3] @ cross
+    dx[:, :, 3:6] = D[:3, :3]
+    if free:
+        dx[:, :, 6] = scale * D[:3, 3]
+    return q[:, :2], dq @ dx
+
+
+def step(T, scale, delta):
+    return moved(T, delta), scale * math.exp(min(max(delta[6], -0.5), 0.5)) if len(delta) == 7 else scale
+
+
+def gap_to_prior(prior, T, scale, size):
+    """(size,): the step from the prior's pose to this one."""
+    _, T0, scale0 = prior
+    D = T @ np.linalg.inv(T0)
+    gap = rt_from_matrix(D)
+    return np.append(gap, math.log(scale / scale0)) if size == 7 else gap
+
+
+def point(trace, T, error_px, step="refined", **more):
+    """One entry of the trace; the clocks are the process's."""
+    return {
+        "iteration": len(trace),
+        "step": step,
+        "error_px": error_px,
+        **more,
+        "rt_cam_world": rt_from_matrix(T),
+        "cpu_s": time.process_time(),
+        "wall_s": time.perf_counter(),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    H: np.ndarray
+    parts: list
+    at: list
+    where: list
+
+
+def rms(parts):
+    total = sum((w * r**2).sum() for _, r, w in parts)
+    return float(math.sqrt(total / max(sum(w.sum() for _, _, w in parts), 1e-12)))
+
+
+def view(rig):
+    """(5, 2) px, (5, 3) m: corners and middle of the left picture, and points there at the scene's depth, left camera's axes."""
+    camera = rig.sides[0].camera
+    W, H = camera.width - 1, camera.height - 1
+    q = np.array([[0, 0], [W, 0], [0, H], [W, H], [W / 2, H / 2]], float)
+    return q, camera.directions(q) * rig.depth
+
+
+def moved_px(rig, old, T, scale):
+    """How far corners and middle of the picture move between two poses, px (largest)."""
+    q, x = view(rig)
+    T0 = old[0]
+    return float(np.abs(project(rig, 0, T, scale, (x - T0[:3, 3]) @ T0[:3, :3]) - q).max())
+
+
+def rig_of(sides, depth):
+    inverse = np.linalg.inv(sides[0].camera.T_cam_world)
+    return Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides), depth)
+
+
+def depth(model, camera):
+    """m: the median depth of what the camera would see."""
+    small = Camera(
+        np.diag([0.125, 0.125, 1]) @ camera.K, max(camera.width // 8, 1), max(camera.height // 8, 1), camera.T_cam_world
+    )
+    depth = draw(model, small).depth
+    return float(np.median(depth[depth > 0])) if (depth > 0).any() else float(np.ptp(model.vertices, axis=0).max())
