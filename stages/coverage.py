@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
-from lib.core import stage
+from lib.core import packages, stage
 
 
 def options():
@@ -50,7 +50,7 @@ def main(opt):
                 method = "rays"
         if method == "rays":
             with report.excluded("imports"):
-                import open3d  # noqa: F401  the same
+                packages.open3d()  # the same
         with report.timing("coverage"):
             arrays = coverage.coverage(view.model, view.camera, view.facet, method)
         report["method"] = method

@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
-from lib.core import stage
+from lib.core import packages, stage
 
 
 def options():
@@ -121,7 +121,7 @@ def draw(model, camera, method, report):
         except (ImportError, opengl.NoGraphics) as error:
             report.warning(f"no OpenGL ({error}): rays instead")
     with report.excluded("imports"):
-        import open3d  # noqa: F401  the same
+        packages.open3d()  # the same
     return index_buffer.reference(model, camera)
 
 

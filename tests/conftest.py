@@ -23,12 +23,12 @@ def root():
 def run():
     """run(*words, cwd=...) -> CompletedProcess with stdout and stderr as text.
 
-    `stages/x.py` and `-m lib.x` run under this Python.
+    `stages/x.py`, `-m lib.x` and `-c text` run under this Python.
     """
 
     def call(*words, cwd=ROOT, **options):
         words = [os.fspath(w) if isinstance(w, os.PathLike) else str(w) for w in words]
-        if words[0].endswith(".py") or words[0] == "-m":
+        if words[0].endswith(".py") or words[0] in ("-m", "-c"):
             words = [sys.executable, *words]
         environment = {
             k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES")

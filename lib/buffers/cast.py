@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from lib.core import packages
 from lib.buffers.viewport import TIE
 
 
 def caster(view):
     """Embree on the view's triangles: float32, hence the camera at the origin and the furthest vertex at 1."""
-    import open3d
-
+    open3d = packages.open3d()
     scene = open3d.t.geometry.RaycastingScene()
     corners = np.ascontiguousarray(view.p.reshape(-1, 3), np.float32)
     index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
@@ -21,8 +21,7 @@ def cast(scene, view, v, plane) -> np.ndarray:
 
     scene : of `caster`        v : (n, 3) rays, z = 1, camera frame        plane : of `shared_planes`
     """
-    import open3d
-
+    open3d = packages.open3d()
     rays = np.zeros((len(v), 6), np.float32)
     rays[:, 3:] = v
     rank = scene.cast_rays(open3d.core.Tensor(rays))["primitive_ids"].numpy().view(np.int32).astype(np.int64)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lib.core import packages
 from lib.given import rays_kernels as kernels
 from lib.given.rays_kernels import OFFSET
 
@@ -38,8 +39,7 @@ class Caster:
     """Closest hits and occlusion for triangles in local coordinates, (T, 3, 3) float."""
 
     def __init__(self, triangles):
-        import open3d as o3d
-
+        o3d = packages.open3d()
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
         self.empty = len(triangles) == 0
