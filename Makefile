@@ -16,7 +16,7 @@ PYTHON := .venv/bin/python
 PYTHON3 ?= python3
 INSTALL := -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r
 
-TARGETS := all plan test bench scenes doctor help clean setup demo
+TARGETS := all plan check lint test test-slow bench scenes doctor help clean setup demo
 GOALS := $(or $(MAKECMDGOALS),demo)
 SCENES := $(shell cd "$(DATA)" 2>/dev/null && ls -d */scene.yaml 2>/dev/null | cut -d/ -f1)
 
@@ -42,8 +42,19 @@ $(foreach name,$(NAMES),$(eval $(call scene,$(name))))
 plan: setup
 	@$(PYTHON) -m lib.planning.plan --show --data "$(DATA)" --build "$(BUILD)"
 
-test: setup
-	$(PYTHON) -m pytest
+# The loop while one works; all that must pass; what takes minutes each.
+check: lint
+	$(PYTHON) -m pytest -m 'not scene and not outside and not slow'
+
+test: lint
+	$(PYTHON) -m pytest -m 'not slow'
+
+test-slow: setup
+	$(PYTHON) -m pytest -m slow
+
+lint: setup
+	@$(PYTHON) -m ruff check --quiet
+	@$(PYTHON) -m ruff format --check --quiet
 
 bench: setup .venv/ready-bench
 	$(PYTHON) -m tests.bench
@@ -73,7 +84,8 @@ help:
 	  'make <scene>/<stage>    one scene, up to and including one stage' \
 	  'make all                every scene;  make -k all goes on after a failure' \
 	  'make plan               the stages of every scene; what is left out, and why' \
-	  'make test               the tests' \
+	  'make check              lint and every quick test: two minutes' \
+	  'make test               all tests but the slow ones;  make test-slow: those' \
 	  'make bench              error against run time, as CSV and plots' \
 	  'make doctor             what is installed, and what to do about what is not' \
 	  'make scenes             make the synthetic scenes again (installs Mitsuba in .venv-scenes)' \

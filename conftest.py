@@ -1,4 +1,7 @@
-"""For the examples in lib/ as well as for tests/: NumPy prints as it does by itself, whatever a package has set (colour does)."""
+"""For the examples in lib/ as well as for tests/.
+
+NumPy prints as it does by itself, whatever a package has set (colour does).
+"""
 
 import sys
 

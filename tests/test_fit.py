@@ -223,7 +223,7 @@ def test_a_wrong_lamp_shows_in_the_picture_error():
 
 
 def test_what_nothing_determines_has_a_sigma_as_large_as_itself():
-    """Without interreflection only rho E is seen: both are as unsure as they are large, and E becomes 1 by convention."""
+    """Without interreflection only rho E is seen: both are as unsure as they are large; E becomes 1 by convention."""
     problem, rho, _ = made(COLOURS, given_E=False, transfer="linear")
     dark = replace(problem, F=csr_array((6, 6)), G=csr_array(problem.G.shape), G_plain=csr_array(problem.G.shape))
     seen = rho[problem.tile_group] * problem.D_tile * 0.9
@@ -281,7 +281,7 @@ def test_the_printed_update_diverges_in_bright_rooms_and_the_damped_one_does_not
 
 
 def test_the_spread_criterion_of_46():
-    """Printed, one object in shadow ({.3, 1, 1}) throws out both good ones; on |ln epsilon| it is the one thrown out."""
+    """As printed, one object in shadow ({.3, 1, 1}) throws out both good ones; on |ln epsilon| it goes itself."""
     epsilon, pixels = np.array([0.3, 1.0, 1.0]), np.ones(3)
     assert paper.group_correction(epsilon, pixels, symmetric=False) == pytest.approx(0.3)
     assert paper.group_correction(epsilon, pixels, symmetric=True) == pytest.approx(1.0)

@@ -1,13 +1,13 @@
-"""The reflectance ladder, lib/ladder.py, lib/rungs.py, lib/receivers.py and stages/fit.py: self-consistency laws.
+"""The reflectance ladder, lib/analysis/ladder.py and stages/fit.py: self-consistency laws.
 
-The photographs here are made by our own renderer (lib.picture.rendering) in small rooms, with noise and 8 bits, from materials that the
-test chose. What the fit finds in them must be those materials, within its own sigma and the percent to which renderer and fit agree.
-Truth from outside, path-traced by Mitsuba, is in the shipped scenes (tests/test_scenes.py): a mistake that renderer and fit share shows only there.
+The photographs here are made by our own renderer (lib.picture.rendering) in small rooms, with noise and 8 bits, from
+materials that the test chose.  The fit must find those materials, within its own sigma and the percent to which
+renderer and fit agree.  Truth from outside, path-traced by Mitsuba, is in the shipped scenes (tests/test_scenes.py):
+a mistake that renderer and fit share shows only there.
 
-Where a law takes long, it runs with LADDER=long alone.
+Where a law takes long, `make test-slow` alone runs it.
 """
 
-import os
 import subprocess
 import sys
 
@@ -28,7 +28,7 @@ HIGH = rooms.panel(
     "picture", (0, 0.8, 1.5), (0, 2.1, 1.5), (0, 2.1, 2.25), (0, 0.8, 2.25)
 )  # a small one, where the lamp is mirrored
 
-takes_long = pytest.mark.skipif(os.environ.get("LADDER") != "long", reason="LADDER=long runs it")
+takes_long = pytest.mark.slow
 
 
 class Room(Studio):
@@ -234,7 +234,7 @@ def test_two_facing_mirrors(tmp_path, rho_s):
     )
     found, _ = room.found({"left": ("mirror", rho_s[0]), "right": ("mirror", rho_s[1])})
     assert kinds(found) == dict.fromkeys(("left", "right"), "mirror" if rho_s[0] == 1 else "coloured_mirror")
-    for name, true in zip(("left", "right"), rho_s):
+    for name, true in zip(("left", "right"), rho_s, strict=True):
         assert off(found["groups"][name], "rho_s", true) < 1
     agree(found)
 
@@ -290,7 +290,10 @@ def test_a_brushed_picture(room):
 
 
 def test_a_printed_pattern_is_a_texture(room):
-    """What looks neither like the room nor like the lamp is no lobe; the mean of the albedo map is the mean of the print."""
+    """What looks neither like the room nor like the lamp is no lobe.
+
+    The mean of the albedo map is the mean of the print.
+    """
     lin = room.seen({"picture": 0.4}).copy()
     y, x = np.indices(room.facet.shape)
     lin[room.pixels("picture")] *= np.where((x // 5 + y // 5) % 2, 1.25, 0.75)[room.pixels("picture")][:, None]
@@ -323,7 +326,8 @@ def test_nobody_climbs_for_the_light_of_a_sharp_floor(grazing):
 
 @pytest.mark.xfail(
     strict=True,
-    reason="an error below the threshold (0.010 here) is in nobody's sigma: the ceiling, lit by that floor, is 12 sigma off",
+    reason="an error below the threshold (0.010 here) is in nobody's sigma: the ceiling, which that floor lights, "
+    "is 12 sigma off",
 )
 def test_what_the_threshold_lets_pass_is_in_sigma(grazing):
     """A gloss too faint to be asked for: all stay diffuse, and nobody is surer than that allows."""
@@ -387,7 +391,8 @@ def black(open_scene):
 
 @pytest.mark.xfail(
     strict=True,
-    reason="a group of black pixels is unknown to the fit, which thinks it diffuse with the prior's rho_d (.64): the floor, which the mirror lights, is 14 sigma off",
+    reason="a group of black pixels is unknown to the fit, which thinks it diffuse with the prior's rho_d (.64): "
+    "the floor, which the mirror lights, is 14 sigma off",
 )
 def test_a_mirror_that_shows_nothing_spoils_nobody(open_scene):
     found, _ = open_scene.fit(photograph(black(open_scene)), E, transfer=KNOWN)
@@ -470,7 +475,10 @@ def test_a_textured_group_that_no_pixel_shows(room):
 
 @pytest.fixture
 def files(room, tmp_path):
-    """The words of a run in which a mirror would climb, into a folder of its own, and the same with one of them changed."""
+    """The words of a run in which a mirror would climb, into a folder of its own.
+
+    The same with one of them changed.
+    """
     room.write(photograph(room.seen({"picture": ("mirror", 1.0)})))
 
     def words(**options):

@@ -1,4 +1,7 @@
-"""Albedo maps of a checkered panel: against the true pattern, by law (units, noise, no holes), at the edge, and their files."""
+"""Albedo maps of a checkered panel.
+
+Against the true pattern, by law (units, noise, no holes), at the edge, and their files.
+"""
 
 import dataclasses
 import json
@@ -74,7 +77,10 @@ class Shot:
 
 
 def shoot(folder, view=FRONT, size=(128, 128), focal=120.0, pattern=checker, sub=8):
-    """The exact picture of the square under uneven light, sub x sub rays a pixel; pixels that show more than the panel are not usable."""
+    """The exact picture of the square under uneven light, sub x sub rays a pixel.
+
+    Pixels that show more than the panel are not usable.
+    """
     surface = rooms.surface(folder / "model.obj", SQUARE)
     camera = look(*view, size, focal)
     albedo = np.zeros((size[1], size[0], pattern(np.zeros(2)).shape[-1]))
@@ -135,7 +141,10 @@ def test_error_falls_with_resolution(front, tmp_path):
 
 @pytest.mark.parametrize("name", ["front", "grazing"])
 def test_no_holes_and_no_blur_beyond_a_pixel(name, request):
-    """Where the photograph shows one check only within a pixel and a half around, the texel has that check's albedo; and every texel has its own."""
+    """Where the photograph shows one check only within a pixel and a half around, the texel has that check's albedo.
+
+    Every texel has an albedo of its own.
+    """
     shot = request.getfixturevalue(name)
     t = shot.map()
     p, xy = places(shot, t)
@@ -190,7 +199,10 @@ def test_homography_is_backprojection(grazing):
 
 @pytest.mark.parametrize("relative", [0.03, 0.3])
 def test_noise(front, relative):
-    """Noise of 3 % goes into sigma, which is true; of 30 %, texels are drawn to the constant and come out better than the photograph."""
+    """Noise of 3 % goes into sigma, which is true.
+
+    With noise of 30 %, texels are drawn to the constant and come out better than the photograph.
+    """
     rng = np.random.default_rng(1)
     linear = front.albedo * front.irradiance
     noise = relative * linear.mean(axis=2)
@@ -455,7 +467,7 @@ def test_lookup_by_hand(front):
 
 
 def test_mean_of_a_triangle(tmp_path):
-    """The mean of a slope over a triangle is its value at the centroid; what lies in the rectangle only does not count."""
+    """The mean of a slope over a triangle is its value at the centroid: the rest of the rectangle does not count."""
     surface = rooms.surface(tmp_path / "triangle.obj", rooms.panel("panel", (0, 0, 0), (1, 0, 0), (0, 1, 0)))
     camera = look(*FRONT, (128, 128), 100.0)
     xy = on_floor(camera, camera.pixels())
@@ -496,7 +508,7 @@ def test_found_again_after_writing(front, tmp_path):
 
 
 def test_the_picture_shows_the_panel_as_its_front_is_seen(front, tmp_path):
-    """Corners of the picture and of the JSON beside it are those of the model: the albedo there is that of the pattern."""
+    """The corners of the picture and of the JSON beside it are the model's: the albedo there is the pattern's."""
     slope = dataclasses.replace(
         front,
         albedo=np.stack(

@@ -19,7 +19,21 @@ from lib.planning.pipeline import read_pipeline
 from lib.planning.rules import NAME
 from lib.planning.walk import explain, walk
 
-TARGETS = ("all", "plan", "test", "bench", "scenes", "doctor", "help", "clean", "setup", "demo")  # of the Makefile
+TARGETS = (
+    "all",
+    "plan",
+    "check",
+    "lint",
+    "test",
+    "test-slow",
+    "bench",
+    "scenes",
+    "doctor",
+    "help",
+    "clean",
+    "setup",
+    "demo",
+)  # of the Makefile
 
 
 def check_name(data, name) -> Path:

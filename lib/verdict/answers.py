@@ -50,7 +50,8 @@ TRUE_FILES = {
 class Answers:
     """Each may be None: there is no such file.
 
-    group, object, facet : (H, W) index + 1;  mirror : (H, W) index + 1 of the group that a mirror shows;  depth : (H, W) m, 0 = nothing;  regions : (H, W) labels from 1
+    group, object, facet : (H, W) index + 1;  mirror : (H, W) index + 1 of the group that a mirror shows
+    depth : (H, W) m, 0 = nothing;  regions : (H, W) labels from 1
     lens, lens_right : Lens;  camera, camera_right : pinholes in the pair's frame;  posed : in the model's frame
     disparity : (H, W) px, NaN where it is not known; there is only a true one
     """

@@ -12,11 +12,12 @@ facets         planes of true regions by borders, intensities and both, against 
 recognise      the pose by the paper's gradient and by the trust region; seeded trials of the search
 ladder         which rung each group reaches under 20 seeds of noise, and the error of mirrors and lobes (an hour)
 
-CPU seconds of one process, all threads, after a warm-up that loads or compiles every kernel; the median of repeated runs
-where they are short. A number means nothing while other work runs beside it.
+CPU seconds of one process, all threads, after a warm-up that loads or compiles every kernel.  Short runs are repeated,
+and the median counts.  A number means nothing while other work runs beside it.
 """
 
 import argparse
+import contextlib
 import csv
 import importlib
 import os
@@ -48,8 +49,11 @@ def rms(x, w):
 
 
 def form_factor_curves(log):
-    """Rows of (scene, patches, method, setting, cpu_s, patch_error, group_error): the irradiance by one bounce of a first balance
-    at rho 0.5, relative to its mean: root mean square over the patches, and the largest error of a group's mean."""
+    """Rows of (scene, patches, method, setting, cpu_s, patch_error, group_error).
+
+    The irradiance by one bounce of a first balance at rho 0.5, relative to its mean: root mean square over the patches,
+    and the largest error of a group's mean.
+    """
     import tempfile
 
     import numpy as np
@@ -84,10 +88,8 @@ def form_factor_curves(log):
             of_group = np.bincount(group, w * off) / np.maximum(np.bincount(group, w), 1e-300)
             return rms(off, w) / mean, float(np.abs(of_group).max() / mean)
 
-        try:
+        with contextlib.suppress(opengl.NoGraphics):
             hemicube.rows(surface, rooms.patches(surface, 20), resolution=8)  # warm-up
-        except opengl.NoGraphics:
-            pass
         methods = [("rays", n, lambda n=n: form_factors.rays(surface, mesh, n_rays=n)) for n in (64, 256, 1024, 4096)]
         methods += [("hemicube", n, lambda n=n: hemicube.rows(surface, mesh, resolution=n)) for n in (16, 32, 64, 128)]
         methods += [
@@ -106,7 +108,7 @@ def form_factor_curves(log):
 
 
 def plot_form_factors(rows, axes):
-    for ax, scene in zip(axes, ("box", "office")):
+    for ax, scene in zip(axes, ("box", "office"), strict=True):
         for method, colour in (("rays", "C0"), ("hemicube", "C1"), ("hemicube x 4", "C3")):
             mine = [r for r in rows if r[0] == scene and r[2] == method]
             ax.plot([r[4] for r in mine], [r[5] for r in mine], "o-", color=colour, label=f"{method}: each patch")
@@ -132,7 +134,10 @@ def plot_form_factors(rows, axes):
 
 
 def solver_curves(log):
-    """Rows of (rho, method, iteration, cpu_s, error): largest error of a patch over the mean radiosity, from the lamp alone on."""
+    """Rows of (rho, method, iteration, cpu_s, error).
+
+    Largest error of a patch over the mean radiosity, from the lamp alone on.
+    """
     import numpy as np
 
     from lib.light import form_factors, radiosity
@@ -178,14 +183,14 @@ def solver_curves(log):
                 every=len(mesh) // 8,
                 **more,
             )
-            result += [(rho, name, k, cpu, e) for (k, cpu, _), e in zip(s.trace, seen)]
+            result += [(rho, name, k, cpu, e) for (k, cpu, _), e in zip(s.trace, seen, strict=False)]
             log(*result[-1])
     return ("rho", "method", "iteration", "cpu_s", "error"), result
 
 
 def plot_solvers(rows, axes):
     names = list(dict.fromkeys(r[1] for r in rows))
-    for ax, rho in zip(axes, (0.5, 0.9, 0.99)):
+    for ax, rho in zip(axes, (0.5, 0.9, 0.99), strict=True):
         for i, name in enumerate(names):
             mine = [r for r in rows if r[0] == rho and r[1] == name]
             if name == "direct":
@@ -214,7 +219,10 @@ def plot_solvers(rows, axes):
 
 
 def mesh_curves(log):
-    """Rows of (kind, setting, patches, cpu_s, error): patch-constant light against a fine mesh, root mean square over the area."""
+    """Rows of (kind, setting, patches, cpu_s, error).
+
+    Patch-constant light against a fine mesh, root mean square over the area.
+    """
     from lib.light import adapt
     from lib.light import lamps as lamps_
     from tests.helpers import rooms

@@ -52,7 +52,7 @@ class Case:
         shown = np.bincount(image.read_labels(folder / "truth" / "group.png").ravel())[1:]
         legend = json.loads((folder / "truth" / "legend.json").read_text())["groups"]
         enough = (
-            {g for g, n in zip(legend, shown) if n >= 500}
+            {g for g, n in zip(legend, shown, strict=False) if n >= 500}
             - set(self.facts["lamps"])
             - set(self.facts.get("reference", {}))
         )

@@ -1,9 +1,9 @@
 """The reflectance ladder: which rung each group reaches under noise, and error against CPU time (for tests/bench).
 
-    $ python -m tests.ladder_bench OUT/ [seeds]          ladder.csv, ladder_time.csv, ladder.png
+    $ python -m tests.bench.ladder_bench OUT/ [seeds]          ladder.csv, ladder_time.csv, ladder.png
 
-Confusion: sensor noise of 0.7 % of full scale is added to each scene's photograph, seed after seed, which is rounded to 8 bits
-again; index, gather and fit run as a user runs them, from `surfaces: {}`. Truth is read here, by no stage.
+Confusion: sensor noise of 0.7 % of full scale is added to each scene's photograph, seed after seed, which is rounded to
+8 bits again.  Then index, gather and fit run as a user runs them, from `surfaces: {}`.  No stage reads truth.
 Time: the whole of `fit` at several numbers of rays in each lobe.
 """
 
@@ -112,7 +112,11 @@ def kind_of(entry):
 
 
 def errors(found, truth):
-    """Largest absolute error of rho_s, relative of alpha, degrees of the tangent, mean relative of diffuse groups seen by 500 px or in a mirror alone."""
+    """Errors by name.
+
+    rho_s : largest absolute;  alpha : largest relative;  tangent : degrees;  the diffuse groups that 500 px show, or a
+    mirror alone: mean relative
+    """
     result = {"rho_s": 0.0, "alpha": 0.0, "tangent": 0.0}
     relative = []
     for name, true in truth["groups"].items():

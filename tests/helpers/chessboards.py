@@ -1,4 +1,7 @@
-"""Chessboards for the tests: corners as a lens sees them, and pictures of them by exact ray casting through the same lens."""
+"""Chessboards for the tests.
+
+Corners as a lens sees them, and pictures of them by exact ray casting through the same lens.
+"""
 
 import numpy as np
 
@@ -42,7 +45,10 @@ def poses(n, random, tilt=0.5, distance=(0.6, 1.2), reach=0.75):
 
 
 def seen(T_left_boards, left, right, random, noise=0.1, corners=CORNERS, square=SQUARE, whole=True):
-    """boards.Boards as the two lenses see them, with normal noise (px); `whole`: a board that leaves the picture is not seen."""
+    """boards.Boards as the two lenses see them, with normal noise (px).
+
+    `whole`: a board that leaves the picture is not seen.
+    """
     q = np.full((2, len(T_left_boards), corners[1], corners[0], 2), np.nan)
     T_ref_left = np.linalg.inv(left.T_cam_ref)
     for n, T in enumerate(T_left_boards):

@@ -1,4 +1,7 @@
-"""Stereo pairs with known answers: a model drawn in two pinhole views, each facet with its own shaded colour, blurred by the pixel's area, noisy."""
+"""Stereo pairs with known answers.
+
+A model drawn in two pinhole views, each facet with its own shaded colour, blurred by the pixel's area, noisy.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +18,12 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """left, right : Camera; values : two (H, W, 3) in [0, 1] without noise; facet : two (H, W) -1 = nothing
-    labels : two (H, W) int32, the true regions: 4-connected parts of one facet; facet_of : two (N + 1,) facet of each label"""
+    """left, right : Camera; values : two (H, W, 3) in [0, 1] without noise.
+
+    facet : two (H, W), -1 = nothing
+    labels : two (H, W) int32, the true regions: 4-connected parts of one facet
+    facet_of : two (N + 1,), the facet of each label
+    """
 
     model: object
     left: Camera
@@ -74,14 +81,18 @@ def turned(left, angle_deg, distance, twist_deg=0.0):
 
 
 def draw(model, camera, colour, shade, samples=32):
-    """(H, W, 3) area-averaged colours, (H, W) facet at the pixels' centres. The shading moves with the surface: the same in every view.
+    """(H, W, 3) area-averaged colours, (H, W) facet at the pixels' centres.
 
-    The samples of a pixel form a Hammersley set: no two share a row or a column, so upright edges are as exact as slanted ones."""
+    The shading moves with the surface: the same in every view.
+
+    The samples of a pixel form a Hammersley set: no two share a row or a column, so upright edges are as exact as
+    slanted ones.
+    """
     k = np.arange(samples)
     halves = sum(((k >> bit) & 1) / 2.0 ** (bit + 1) for bit in range(samples.bit_length() - 1))
     origin = np.einsum("ij,ij->i", model.vertices[model.triangles[:, 0]], shade[model.triangle_facet])
     values = np.zeros((camera.height, camera.width, 3))
-    for dx, dy in zip((k + 0.5) / samples - 0.5, halves + 0.5 / samples - 0.5):
+    for dx, dy in zip((k + 0.5) / samples - 0.5, halves + 0.5 / samples - 0.5, strict=True):
         K = camera.K.copy()
         K[:2, 2] -= dx, dy
         moved = Camera(K, camera.width, camera.height, camera.T_cam_world)
@@ -95,7 +106,10 @@ def draw(model, camera, colour, shade, samples=32):
 def office(
     angle_deg=7.0, seed=0, focal=600.0, size=(640, 480), shading=0.03, samples=32, path=ROOT / "data" / "office"
 ):
-    """The office in two views; colours and shading of each facet by the seed, and a slightly moved camera unless it is 0."""
+    """The office in two views.
+
+    Colours and shading of each facet by the seed, and a slightly moved camera unless it is 0.
+    """
     rng = np.random.default_rng([11, seed])
     model = models.load(path / "model.obj")
     left = cameras.read_cameramodel(path / "left.posed.cameramodel")
@@ -145,7 +159,10 @@ def half_plane(q, n, d):
 
 
 def quads(seed=0, angle_deg=7.0, size=(480, 360), focal=450.0, columns=3, rows=2, grey=False, baseline=None, tilt=0.8):
-    """columns x rows quadrilaterals of random shape, plane and colour, 2 to 4 m away. baseline : m, instead of the angle: parallel cameras."""
+    """columns x rows quadrilaterals of random shape, plane and colour, 2 to 4 m away.
+
+    baseline : m, instead of the angle: parallel cameras.
+    """
     rng = np.random.default_rng([5, seed])
     K = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
     left = Camera(K, *size, np.eye(4))
@@ -177,11 +194,11 @@ def quads(seed=0, angle_deg=7.0, size=(480, 360), focal=450.0, columns=3, rows=2
             np.broadcast_to(base, (*q.shape[:2], 3)).copy(),
             np.full(q.shape[:2], columns * rows + 1, np.int32),
         )
-        for k, (ring, colour) in enumerate(zip(corners, colours)):
+        for k, (ring, colour) in enumerate(zip(corners, colours, strict=True)):
             v = left.directions(ring)
             ring = camera.project(v / (v @ m[k])[:, None])
             cover, inside = np.ones(q.shape[:2]), np.ones(q.shape[:2], bool)
-            for a, b in zip(ring, np.roll(ring, -1, 0)):
+            for a, b in zip(ring, np.roll(ring, -1, 0), strict=True):
                 n = np.array([b[1] - a[1], a[0] - b[0]]) / np.linalg.norm(b - a)
                 cover *= half_plane(q, n, n @ a)
                 inside &= q @ n <= n @ a
@@ -193,7 +210,10 @@ def quads(seed=0, angle_deg=7.0, size=(480, 360), focal=450.0, columns=3, rows=2
 
 
 def textured(seed=0, angle_deg=7.0, size=(320, 240), focal=300.0, contrast=0.15):
-    """One plane with a soft random texture; label 1 is a rectangle on it, whose border has no contrast, label 2 the rest."""
+    """One plane with a soft random texture.
+
+    Label 1 is a rectangle on it, whose border has no contrast, label 2 the rest.
+    """
     rng = np.random.default_rng([6, seed])
     K = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
     left = Camera(K, *size, np.eye(4))
@@ -204,8 +224,7 @@ def textured(seed=0, angle_deg=7.0, size=(320, 240), focal=300.0, contrast=0.15)
     phase, size_of = rng.uniform(0, 2 * np.pi, (40, 3)), contrast / np.sqrt(20)
     values, labels = [], []
     for camera in (left, right):
-        R, t = camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
-        v = camera.directions(camera.pixels()) @ R  # left frame, from the camera's centre
+        v = camera.directions(camera.pixels()) @ camera.T_cam_world[:3, :3]  # left frame, from the camera's centre
         p = camera.centre + v * ((1 - m @ camera.centre) / (v @ m))[..., None]
         values.append((0.5 + size_of * np.cos(p[..., :2] @ waves.T)[..., None] * np.cos(phase)).sum(axis=-2) - 0.5 * 39)
         labels.append(np.where((np.abs(p[..., 0]) < 0.8) & (np.abs(p[..., 1]) < 0.6), 1, 2).astype(np.int32))

@@ -1,8 +1,12 @@
-"""The shipped office at a quarter of its size, run through make as a user would: what real stages write, in seconds."""
+"""The shipped office at a quarter of its size, run through make as a user would: what real stages write, in seconds.
+
+It is built into build/tests and stays there: Make remakes what an edit touches.
+"""
 
 import os
 import shutil
 import subprocess
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +17,7 @@ from lib.given import cameras, image
 
 ROOT = Path(__file__).resolve().parents[2]
 OFFICE = ROOT / "data/office"
+FOLDER = ROOT / "build/tests/small"
 SMALLER = 4
 
 
@@ -37,11 +42,22 @@ def write(folder):
     (folder / "scene.yaml").write_text(scene + "\ngoals: [materials.json, rendered.png, scorecard.csv, report.html]\n")
 
 
-def run(folder):
+def run():
     """The folder of everything that make left."""
-    write(folder / "data/office")
+    with tempfile.TemporaryDirectory() as new:
+        write(Path(new) / "office")
+        replace_what_differs(Path(new), FOLDER / "data")
     clean = {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k not in ("MFLAGS", "BUILD", "DATA")}
-    words = ["make", f"DATA={folder / 'data'}", f"BUILD={folder / 'build'}", "office"]
+    words = ["make", f"DATA={FOLDER / 'data'}", f"BUILD={FOLDER / 'build'}", "office"]
     result = subprocess.run(words, cwd=ROOT, env=clean, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
-    return folder / "build/office"
+    return FOLDER / "build/office"
+
+
+def replace_what_differs(new, old):
+    """Copies the files under `new` to `old`, but for those of the same content, which keep their times."""
+    for path in (p for p in new.rglob("*") if p.is_file()):
+        target = old / path.relative_to(new)
+        if not target.is_file() or target.read_bytes() != path.read_bytes():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, target)

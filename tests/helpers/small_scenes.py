@@ -1,4 +1,7 @@
-"""Small scenes by hand for the tests of mirrors, gloss and the ladder: surfaces of a few polygons, and elements that look into them."""
+"""Small scenes by hand for the tests of mirrors, gloss and the ladder.
+
+Surfaces of a few polygons, and elements that look into them.
+"""
 
 import sys
 from types import SimpleNamespace
@@ -103,7 +106,10 @@ def views(surface, mesh, finish, lamps, p, facet, direction, n_rays, **options):
 
 
 def factor(p, normal, corners, n=1500):
-    """Form factor of a whole convex polygon from p (Lambert's contour), everything before its horizon; independent of lib."""
+    """Form factor of a whole convex polygon from p (Lambert's contour), everything before its horizon.
+
+    Independent of lib.
+    """
     a = np.array(corners, float) - p
     a = a / np.linalg.norm(a, axis=1, keepdims=True)
     b = np.roll(a, -1, axis=0)
@@ -125,7 +131,10 @@ def midpoints(corners, n):
 
 
 def linear_picture(subject, shadow_rays=32, **quality):
-    """The subject rendered with a coarse texture of what rays see: half the time, and within 0.3 % or so of a better one."""
+    """The subject rendered with a coarse texture of what rays see.
+
+    Half the time, and within 0.3 % or so of a better one.
+    """
     from lib.picture import rendering, texels
     from lib.picture.subject import Quality
 
@@ -138,7 +147,10 @@ def linear_picture(subject, shadow_rays=32, **quality):
 
 
 def photograph(linear, *, gamma=2.2, noise=0.004, bits=8, seed=1):
-    """lib.given.image.Photograph of linear light: noise in display values, quantised; bits 0: linear as an EXR, noise relative to the light."""
+    """lib.given.image.Photograph of linear light: noise in display values, quantised.
+
+    bits : 0 is linear as an EXR, with noise relative to the light
+    """
     from lib.given import image
 
     rng = np.random.default_rng(seed)
@@ -151,7 +163,10 @@ def photograph(linear, *, gamma=2.2, noise=0.004, bits=8, seed=1):
 
 
 class Studio:
-    """A room, a camera, and what depends on them alone, done once: photographs of any materials in it, and what stages/fit.py finds in them."""
+    """A room, a camera, and what depends on them alone, done once.
+
+    Photographs of any materials in it, and what stages/fit.py finds in them.
+    """
 
     def __init__(self, folder, objects, camera, lamps=("lamp",), patches=160, rays=512):
         from lib.buffers import coverage, edges, index_buffer
@@ -188,7 +203,10 @@ class Studio:
         return (self.facet >= 0) & (self.surface.group[self.facet] == self.groups.index(group))
 
     def picture(self, materials, E, **options):
-        """(H, W, C) linear. materials : {group: rho_d, ("mirror", rho_s) or (alpha, rho_d, rho_s)};  E : (L, C) or (L,)"""
+        """(H, W, C) linear.
+
+        materials : {group: rho_d, ("mirror", rho_s) or (alpha, rho_d, rho_s)};  E : (L, C) or (L,)
+        """
         from lib.given import image
         from lib.given.transfer import Transfer
         from lib.given.view import View
@@ -215,7 +233,10 @@ class Studio:
         return linear_picture(subject, **options)
 
     def write(self, photograph, folder=None):
-        """left.png or .exr, gather.npz and audit.npz of a photograph, as the stages before the fit write them; the folder."""
+        """left.png or .exr, gather.npz and audit.npz of a photograph, as the stages before the fit write them.
+
+        Returns the folder.
+        """
         from lib.analysis import gather
         from lib.buffers import trust
         from lib.given import image
@@ -265,7 +286,7 @@ class Studio:
         import json
 
         self.write(photograph)
-        lamps = {name: [float(x) for x in np.atleast_1d(e)] for name, e in zip(self.lamps, E)}
+        lamps = {name: [float(x) for x in np.atleast_1d(e)] for name, e in zip(self.lamps, E, strict=True)}
         stage = fit_stage()
         stage.main(stage.options().parse_args(self.words(photograph.linear, lamps=lamps, **facts)))
         return tuple(json.loads((self.folder / name).read_text()) for name in ("materials.json", "fit.report.json"))
