@@ -1,6 +1,7 @@
 """Comparing with truth: by hand, at the edge, from outside; and the two-sided bounds."""
 
 import csv
+import dataclasses
 import json
 from pathlib import Path
 
@@ -272,6 +273,25 @@ def test_where_all_is_diffuse_there_are_no_kinds():
     assert not any(name.startswith(("kinds", "mirror", "glossy", "texture", "reflectance.only")) for name in names)
     found["groups"]["wall"] |= {"kind": "glossy"}  # a wrong one is said even there
     assert errors(found=found, truth=truth, shown=shown)["kinds.right"] == 0
+
+
+def test_what_a_mirror_shows_is_compared_where_one_of_the_two_shows_something():
+    """10 x 10 px of a mirror show the floor; the names stand in another order in the two legends."""
+    true = np.zeros((30, 40), np.uint16)
+    true[10:20, 10:20] = 2
+    ours = np.zeros_like(true)
+    ours[10:20, 10:22] = 1  # two columns too wide, one of them at truth's edge
+    shown = Answers(mirror=true, legend=Legend(groups=["glass", "floor"], objects=[]))
+    legend = Legend(groups=["floor", "glass"], objects=[])
+    found = Answers(materials=record.of(materials({}), "materials.json", Materials), mirror=ours, legend=legend)
+
+    def scores(found):
+        return {e.name: e.value for e in comparing.compare(found, shown, {}).errors if e.name.startswith("mirror.")}
+
+    assert scores(found) == {"mirror.differ": 10 / (8 * 8 + 10), "mirror.differ_all": 20 / 120}
+    without = dataclasses.replace(found, mirror=None)  # no mirror was found: it shows nothing
+    assert scores(without) == {"mirror.differ": 1, "mirror.differ_all": 1}
+    assert scores(dataclasses.replace(without, materials=None)) == {}  # nobody looked for one
 
 
 def test_groups_that_only_a_mirror_shows():
