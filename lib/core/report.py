@@ -22,14 +22,13 @@ import os
 import resource
 import sys
 import time
-from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
 from lib.core import artefact, stage
 from lib.core.stage import BadInput
 
-# module -> its name among packages; those that a stage really loaded are listed in its report
+# modules -> packages; those that a stage really loaded are listed in its report
 PACKAGES = {
     "numpy": "numpy",
     "scipy": "scipy",
@@ -92,13 +91,13 @@ def sha256(path) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Python's version, and those of the packages that were loaded."""
-    found = {"python": ".".join(map(str, sys.version_info[:3]))}
-    for module, package in PACKAGES.items():
-        if module in sys.modules:
-            with contextlib.suppress(metadata.PackageNotFoundError):
-                found[package] = metadata.version(package)
-    return found
+    """Python's version, and those of the packages that were loaded.
+
+    As the packages say themselves: importlib.metadata takes 0.06 s to import and to search.
+    """
+    loaded = {package: sys.modules[module] for module, package in PACKAGES.items() if module in sys.modules}
+    found = {package: getattr(module, "__version__", None) for package, module in loaded.items()}
+    return {"python": ".".join(map(str, sys.version_info[:3]))} | {p: str(v) for p, v in found.items() if v}
 
 
 class Report:
