@@ -14,7 +14,8 @@ from lib.analysis import gauss_newton, paper, transport
 from lib.analysis import problem as problem_
 from lib.analysis.equations import Equations, Layout, Unknowns
 from lib.analysis.problem import TilePixels
-from lib.given.transfer import Metric, Transfer
+from lib.given import transfer_kinds
+from lib.given.transfer import CURVES, Metric, Transfer
 
 OPPOSITE, BESIDE = 0.19982489569838746, 0.20004377607540316
 
@@ -291,19 +292,23 @@ def test_the_spread_criterion_of_46():
 
 
 @pytest.mark.parametrize(
-    "transfer", [Transfer("gamma", 2.2), Transfer("gamma", 0.5), Transfer("srgb"), Transfer("linear")]
+    "transfer", [Transfer("gamma", 2.2), Transfer("gamma", 0.5), Transfer("linear"), *map(Transfer, CURVES)]
 )
 def test_transfer_and_its_inverse(transfer):
     B = np.linspace(0, 1, 1001)
     np.testing.assert_allclose(transfer.linear(transfer.display(B)), B, atol=2e-7)
 
 
-@pytest.mark.parametrize("transfer", [Transfer("gamma", 2.2), Transfer("srgb"), Transfer("linear")])
+@pytest.mark.parametrize("transfer", [Transfer("gamma", 2.2), Transfer("linear"), *map(Transfer, CURVES)])
 def test_slope_against_differences(transfer):
     metric = Metric(transfer)
     B = np.array([1e-4, 1e-3, 0.02, 0.3, 0.9, 1.7])
     h = 1e-6 * B
     np.testing.assert_allclose(metric.slope(B), (metric.value(B + h) - metric.value(B - h)) / (2 * h), rtol=1e-5)
+
+
+def test_every_curve_has_a_name_and_a_formula():
+    assert set(CURVES) == set(transfer_kinds.CURVES)
 
 
 def test_tiles_average_before_the_power():

@@ -7,10 +7,10 @@ import numpy as np
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import Halves, Problem
 from lib.core.stage import BadInput
-from lib.given.transfer import Metric, Transfer
+from lib.given.transfer import CURVES, Metric, Transfer
+from lib.given.transfer_kinds import OF_PICTURE
 from lib.light.factors_file import FormFactors
 
-FITTED_AS_LINEAR = ("linear_per_group", "histogram", "histogram_per_group")  # the transfer is the finished picture's
 USUAL_GAMMA = 2.2
 
 
@@ -22,10 +22,10 @@ def transfer_of(transfer, linear_photograph) -> Transfer:
         return Transfer("gamma", float(transfer["gamma"]))
     if transfer == "gamma":
         return Transfer("gamma", USUAL_GAMMA)
-    if transfer == "linear" or transfer in FITTED_AS_LINEAR:
+    if transfer == "linear" or transfer in OF_PICTURE:
         return Transfer("linear")
-    if transfer == "srgb":
-        return Transfer("srgb")
+    if transfer in CURVES:
+        return Transfer(transfer)
     raise BadInput(f"transfer: {transfer!r} is not built yet")
 
 

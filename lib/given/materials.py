@@ -16,10 +16,10 @@ from pathlib import Path
 
 from lib.core import artefact, record
 from lib.core.record import Wrong, flag, items, number, numbers, part, plain, table_of, told, word
+from lib.given import transfer_kinds
 
 KINDS = ("diffuse", "mirror", "coloured_mirror", "glossy", "textured")
 MIRRORS = ("mirror", "coloured_mirror")
-TRANSFERS = ("gamma", "linear", "srgb", "linear_per_group", "histogram", "histogram_per_group")
 STATUSES = ("converged", "not converged", "nothing seen")  # of a fit; truth says "truth"
 SCALES = ("lamps", "reference", "interreflection", "convention")
 
@@ -101,7 +101,7 @@ class Lamp:
 class FoundTransfer:
     """gamma, sigma : of kind `gamma` alone; sigma is None where gamma was given"""
 
-    kind: str | None = told(word(*TRANSFERS))
+    kind: str | None = told(word(*transfer_kinds.KINDS))
     gamma: float | None = told(number(0))
     sigma: float | None = told(number(0))
 

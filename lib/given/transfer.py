@@ -6,7 +6,9 @@ Convention: T(B) = clip(B, 0, 1) ** (1 / gamma). The paper prints B ** (1 / gamm
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +26,22 @@ def linear_from_srgb(I) -> np.ndarray:
     return np.where(I <= 0.04045, I / 12.92, ((np.maximum(I, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
+def srgb_slope(B) -> np.ndarray:
+    """d `srgb_from_linear` / d B."""
+    return np.where(B <= SRGB_KNEE, 12.92, 1.055 / 2.4 * np.maximum(B, SRGB_KNEE) ** (1 / 2.4 - 1))
+
+
+class Curve(NamedTuple):
+    """A transfer function without a parameter, of arrays >= 0 of any shape. Nothing is clipped: above 1 it goes on."""
+
+    display: Callable  # of linear values
+    linear: Callable  # of display values: the inverse
+    slope: Callable  # d display / d linear
+
+
+CURVES = {"srgb": Curve(srgb_from_linear, linear_from_srgb, srgb_slope)}  # their names: transfer_kinds.CURVES
+
+
 def display_of_linear(B) -> np.ndarray:
     """Display values of linear light where no transfer function is known: clip(B, 0, 1)^(1 / 2.2), as SCENE.md says."""
     return np.clip(B, 0, 1) ** (1 / 2.2)
@@ -31,7 +49,7 @@ def display_of_linear(B) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Transfer:
-    """kind: gamma, linear or srgb (the per-group and histogram kinds are linear until the picture is displayed)."""
+    """kind : of transfer_kinds.OF_LIGHT (those of OF_PICTURE are linear until the picture is displayed)"""
 
     kind: str
     gamma: float = 1.0
@@ -41,14 +59,14 @@ class Transfer:
         if self.kind == "linear":
             return np.asarray(B, float)
         B = np.clip(B, 0, 1)
-        return srgb_from_linear(B) if self.kind == "srgb" else B ** (1 / self.gamma)
+        return CURVES[self.kind].display(B) if self.kind in CURVES else B ** (1 / self.gamma)
 
     def linear(self, I) -> np.ndarray:
         """Display -> linear, the inverse of `display` on [0, 1]."""
         if self.kind == "linear":
             return np.asarray(I, float)
-        if self.kind == "srgb":
-            return linear_from_srgb(I)
+        if self.kind in CURVES:
+            return CURVES[self.kind].linear(I)
         return np.asarray(I, float) ** self.gamma
 
 
@@ -62,8 +80,8 @@ class Metric:
     transfer: Transfer
 
     @property
-    def _srgb(self):
-        return self.transfer.kind == "srgb"
+    def _curve(self) -> Curve | None:
+        return CURVES.get(self.transfer.kind)
 
     @property
     def exponent(self) -> float:
@@ -73,11 +91,11 @@ class Metric:
     def value(self, B) -> np.ndarray:
         """Unclipped display value of B >= 0."""
         B = np.maximum(B, 0)
-        return srgb_from_linear(B) if self._srgb else B**self.exponent
+        return self._curve.display(B) if self._curve else B**self.exponent
 
     def slope(self, B) -> np.ndarray:
         """d value / d B."""
         B = np.maximum(B, TINY)
-        if self._srgb:
-            return np.where(B <= SRGB_KNEE, 12.92, 1.055 / 2.4 * np.maximum(B, SRGB_KNEE) ** (1 / 2.4 - 1))
+        if self._curve:
+            return self._curve.slope(B)
         return self.exponent * B ** (self.exponent - 1)

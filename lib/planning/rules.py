@@ -8,9 +8,11 @@ import math
 import re
 from pathlib import Path
 
+from lib.given import transfer_kinds
+
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "goals", "augment", "params")
-TRANSFERS = ("gamma", "linear", "srgb", "curve", "linear_per_group", "histogram", "histogram_per_group")
+TRANSFERS = (*transfer_kinds.OF_LIGHT, "curve", *transfer_kinds.OF_PICTURE)
 KINDS = ("diffuse", "mirror", "coloured_mirror", "glossy", "textured")
 
 

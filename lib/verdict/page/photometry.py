@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lib.given import transfer_kinds
 from lib.given.materials import Group, Materials
 from lib.verdict.comparison import Deviation, GroupComparison, LampComparison
 from lib.verdict.page import ladder
@@ -32,7 +33,7 @@ MOST_NAMES = 40  # groups in the key of the index buffer
 
 MODEL_WORDS = {
     "gamma": "gamma",
-    "srgb": "sRGB",
+    **transfer_kinds.CURVES,
     "linear": "linear",
     "linear_per_group": "linear, per group",
     "histogram": "histogram",
@@ -289,7 +290,7 @@ def _transfer(parts: Parts):
         if finite(sigma) and 0 < 3 * sigma < g:
             bands.append(Band(B, B ** (1 / (g - 3 * sigma)), B ** (1 / (g + 3 * sigma))))
     series.append(Series("found", B, display_function(transfer)(B), "a"))
-    if truth and truth.kind in ("gamma", "linear", "srgb"):
+    if truth and truth.kind in transfer_kinds.OF_LIGHT:
         series.append(Series("truth", B, display_function(truth)(B), "dash"))
     return TransferPlot(
         plot=plot(

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from lib.given.materials import FoundTransfer
-from lib.given.transfer import Transfer, display_of_linear
+from lib.given.transfer import CURVES, Transfer, display_of_linear
 from lib.verdict.page.html import finite
 
 SRGB = Transfer("srgb").display
@@ -130,8 +130,8 @@ def diverging(values, half):
 
 def display_function(transfer: FoundTransfer, linear_photograph=False):
     """T as a function of arrays; gamma 2.2 where no one gamma is found."""
-    if transfer.kind == "srgb":
-        return SRGB
+    if transfer.kind in CURVES:
+        return Transfer(transfer.kind).display
     if transfer.kind == "linear" and not linear_photograph:
         return lambda B: np.clip(B, 0, 1)
     found = transfer.kind == "gamma" and finite(transfer.gamma) and transfer.gamma > 0
