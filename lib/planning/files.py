@@ -9,7 +9,7 @@ from lib.core.stage import BadInput
 
 SIDES = ("left", "right")
 PINHOLE = "LENSMODEL_PINHOLE"
-MODEL, PHOTOGRAPH = "model.obj|glb", "left.png|jpg|tif|exr"
+PHOTOGRAPH = "left.png|jpg|tif|exr"
 
 
 def photograph_of(side) -> str:
@@ -39,16 +39,26 @@ def here(path) -> Path:
 # ---- quick looks; where a file cannot be read, the stage that needs it says why ----
 
 
+def _groups_of_obj(data) -> set[str]:
+    names = re.findall(rb"^[ \t]*usemtl[ \t]+([^\r\n]*?)[ \t]*\r?$", data, re.M)
+    return {name.decode("utf-8", "replace") for name in names}
+
+
+def _groups_of_glb(data) -> set[str] | None:
+    length = int.from_bytes(data[12:16], "little")
+    names = {material["name"] for material in json.loads(data[20 : 20 + length])["materials"]}
+    return names if data[:4] == b"glTF" else None
+
+
+# The formats of models: the groups that a file's text names. Their readers: lib/given/model.
+GROUPS_OF = {"obj": _groups_of_obj, "glb": _groups_of_glb}
+MODEL = f"model.{'|'.join(GROUPS_OF)}"
+
+
 def model_groups(path) -> set[str] | None:
     """The groups of a model as its text names them, or None where they cannot be told."""
     try:
-        data = path.read_bytes()
-        if path.suffix == ".obj":
-            names = re.findall(rb"^[ \t]*usemtl[ \t]+([^\r\n]*?)[ \t]*\r?$", data, re.M)
-            return {name.decode("utf-8", "replace") for name in names}
-        length = int.from_bytes(data[12:16], "little")
-        names = {material["name"] for material in json.loads(data[20 : 20 + length])["materials"]}
-        return names if data[:4] == b"glTF" else None
+        return GROUPS_OF[path.suffix[1:]](path.read_bytes())
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from lib.core.stage import BadInput
 from lib.planning import rules
-from lib.planning.files import PHOTOGRAPH, PINHOLE, SIDES, alternatives, centre_of, lens_of, photograph_of
+from lib.planning.files import MODEL, PHOTOGRAPH, PINHOLE, SIDES, alternatives, centre_of, lens_of, photograph_of
 from lib.planning.folder import folder_problems
 from lib.planning.rules import KEYS, show
 from lib.planning.yaml_file import read_yaml
@@ -47,8 +47,8 @@ class Scene:
 
     @property
     def views(self):
-        """What pipeline.yaml's <left>, <left camera> and so on are in this scene (`views` below)."""
-        return {**views(self, "left"), **views(self, "right")}
+        """What pipeline.yaml's <model>, <left>, <left camera> and so on are in this scene (`views` below)."""
+        return {"<model>": MODEL, **views(self, "left"), **views(self, "right")}
 
     def fact(self, key):
         """What a stage is told of scene.yaml under this key of `facts`; None: nothing."""

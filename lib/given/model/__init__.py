@@ -14,6 +14,8 @@ from lib.given.model.glb import read_glb
 from lib.given.model.mesh import Model, build
 from lib.given.model.obj import read_obj
 
+MARKED = {b"glTF": read_glb}  # formats by their first bytes; what has no mark is read as OBJ
+
 
 def load(path) -> Model:
     """Read and check model.obj or model.glb.
@@ -28,5 +30,5 @@ def load(path) -> Model:
             content = file.read()
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    read = read_glb if content[:4] == b"glTF" else read_obj
+    read = next((reader for start, reader in MARKED.items() if content.startswith(start)), read_obj)
     return build(path, read(path, content))
