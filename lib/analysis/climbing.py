@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lib.given.kinds import RUNGS
+
 if TYPE_CHECKING:
     from lib.analysis.problem import Problem, Result
     from lib.analysis.receivers import Receivers
     from lib.analysis.specular_ways import Traced
     from lib.light.chains import Finish
 
-RUNGS = ("diffuse", "mirror", "coloured_mirror", "glossy", "anisotropic", "textured")
-SPECULAR = ("mirror", "coloured_mirror", "glossy", "anisotropic")
-SHAPES = {"glossy": ("alpha",), "anisotropic": ("alpha_x", "alpha_y", "turn")}  # of lobes, that are fitted
+SPECULAR = tuple(name for name, rung in RUNGS.items() if rung.specular)
 
 
 @dataclass
 class Place:
     """Where a group stands.
 
-    rung : of RUNGS;  why : for the report;  tried : [{rung, excess, diffuse}] at the steps that led here
+    rung : of kinds.RUNGS;  why : for the report;  tried : [{rung, excess, diffuse}] at the steps that led here
     rho_d, rho_s : (C,), where the fit is to begin, else None;  alpha : (2,);  tangent : (3,)
     """
 
@@ -37,7 +37,7 @@ class Place:
 
     @property
     def is_mirror(self):
-        return "mirror" in self.rung
+        return RUNGS[self.rung].mirror
 
 
 @dataclass(eq=False)

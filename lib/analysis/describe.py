@@ -11,6 +11,7 @@ from lib.analysis.climbing import SPECULAR, Climb, Place
 from lib.analysis.equations import GAMMA_RANGE
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import MISFIT, Problem, Result, group_rmse
+from lib.given.kinds import RUNGS
 from lib.given.materials import Fit, FoundTransfer, Group, Lamp, Materials, Rung, Sigma
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def _specular(group: Group, climb: Climb, g, m, place: Place) -> Group:
     sigma_s = _three(result.sigma_rho_s[m]) if fitted else NONE
     group = replace(
         group,
-        kind="glossy" if place.rung == "anisotropic" else place.rung,
+        kind=RUNGS[place.rung].kind,
         rho_s=_three(state.rho_s[m]),
         rho_d=_three(np.minimum(state.rho[g], 1 - state.rho_s[m])),  # no surface gives back more than it gets
     )

@@ -20,12 +20,13 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.analysis import misfits, rungs
-from lib.analysis.climbing import RUNGS, Climb, Place
+from lib.analysis.climbing import Climb, Place
 from lib.analysis.misfits import is_over, tolerance
 from lib.analysis.problem import Result
 from lib.analysis.refit import refit
 from lib.analysis.rungs import LightSoFar, Trial
 from lib.analysis.site import Site
+from lib.given.kinds import LOBES, MIRRORS, ORDER, RUNGS
 from lib.light.chains import Finish
 
 MOST_ROUNDS = 12
@@ -46,7 +47,7 @@ def climb(
     settled = site.base.known_groups | {g for g, kind in given.items() if kind in ("diffuse", "textured")}
     if "textured" in given.values():
         here = fitted(here)
-    wanted = {g: kind for g, kind in given.items() if kind in ("mirror", "coloured_mirror", "glossy")}
+    wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}
     for here.rounds in range(1, MOST_ROUNDS + 1):
         step = _Step(site, here, wanted, settled, threshold)
         if not step.taken():
@@ -118,10 +119,10 @@ class _Step:
 
     def _tried(self, g) -> list:
         """The rungs above the group's own, tried in the present light, until one explains the group."""
-        light, own = self._light_without(g), RUNGS.index(self.here.places[g].rung)
-        wanted, above = self.wanted.get(g), lambda trials: [t for t in trials if RUNGS.index(t.rung) > own]
+        light, own = self._light_without(g), ORDER.index(self.here.places[g].rung)
+        wanted, above = self.wanted.get(g), lambda trials: [t for t in trials if ORDER.index(t.rung) > own]
         trials = []
-        if wanted in (None, "mirror", "coloured_mirror") and own < RUNGS.index("coloured_mirror"):
+        if wanted in (None, *MIRRORS) and own < ORDER.index("coloured_mirror"):
             textured = [h for h, place in self.here.places.items() if place.rung == "textured"]
             chains = None if self.here.finish is None else self.here.problem.specular.chains
             diffuse = rungs.plain(self.site, light, self.here.tiles, self.here.result.state.rho_s, chains, g)
@@ -130,7 +131,8 @@ class _Step:
                 return [t for t in trials if t.rung == wanted]
             if any(t.misfit.excess <= self.threshold or t.explained > 0.7 for t in trials):
                 return above(trials)  # if the rest is more than the light's, it climbs on
-        return above(trials + rungs.as_glossy(self.site, light, g, self.threshold))
+        lobes = rungs.as_glossy(self.site, light, g, self.threshold)
+        return above(trials + [t for t in lobes if wanted in (None, RUNGS[t.rung].kind)])
 
     def _light_without(self, g) -> LightSoFar:
         """The light found so far, with the specular groups but g."""
@@ -155,7 +157,7 @@ class _Step:
 
     def _blind_mirrors(self) -> list:
         """Mirrors that scene.yaml names and that no pixel can judge: their light goes on all the same."""
-        blind = [g for g, kind in self.wanted.items() if not self.trials.get(g) and "mirror" in kind]
+        blind = [g for g, kind in self.wanted.items() if not self.trials.get(g) and kind in MIRRORS]
         one = np.ones(self.site.channels)
         for g in blind:
             why = "given in scene.yaml; no pixel shows what it reflects"
@@ -169,12 +171,12 @@ class _Step:
             return None
         # the light is not yet that of the end: about as good is good
         enough = max(self.threshold, 2 * min(t.misfit.excess for t in tried))
-        trial = next(t for t in sorted(tried, key=lambda t: RUNGS.index(t.rung)) if t.misfit.excess <= enough)
+        trial = next(t for t in sorted(tried, key=lambda t: ORDER.index(t.rung)) if t.misfit.excess <= enough)
         gain = trial.explained
         if self.here.places[g].rung != "diffuse":
             now = self.here.misfits[g].excess if g in self.here.misfits else np.inf
             gain = 1 - (trial.misfit.excess / max(now, 1e-12)) ** 2
-        dull = trial.rung in ("glossy", "anisotropic") and trial.rho_s.max() <= 0.002
+        dull = RUNGS[trial.rung].lobe and trial.rho_s.max() <= 0.002
         if g in self.wanted or (gain > 0.5 and not dull):
             return _Choice(gain * trial.diffuse.energy, gain, trial, tried)
         return None

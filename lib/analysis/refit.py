@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from lib.analysis import misfits
-from lib.analysis.climbing import SHAPES, SPECULAR, Climb
+from lib.analysis.climbing import SPECULAR, Climb
 from lib.analysis.equations import Unknowns
 from lib.analysis.gauss_newton import fit, gauss_newton
 from lib.analysis.lobes import bent, detail_of
@@ -18,6 +18,7 @@ from lib.analysis.problem import Problem, Result
 from lib.analysis.site import Site
 from lib.analysis.specular_problem import Unknown, assemble
 from lib.analysis.specular_ways import tiles_of, traced
+from lib.given.kinds import RUNGS
 from lib.light.chains import GLOSSY, MIRROR, Chains, Finish
 
 SHARP = 0.2  # alphas below which a lobe resolves the light within patches
@@ -90,7 +91,7 @@ class _SpecularFit:
     @property
     def shapes(self):
         """[(m, name)] of the lobes' shapes that are fitted."""
-        return [(m, name) for m, g in enumerate(self.finish.groups) for name in SHAPES.get(self.places[g].rung, ())]
+        return [(m, name) for m, g in enumerate(self.finish.groups) for name in RUNGS[self.places[g].rung].shapes]
 
     def _normal(self, m):
         return self.site.main_normal(self.finish.groups[m])
@@ -123,7 +124,7 @@ class _SpecularFit:
         """Trace and fit in turn until the shapes stay: first roughly, by half the rays, then by all of them."""
         options = {**self.options, "max_iterations": 12, "tolerance": 1e-3}
         traced_alpha = np.array(self.finish.alpha)
-        rough = bool(self.shapes)
+        rough = bool((self.finish.kind == GLOSSY).any())
         for _ in range(TURNS):
             problem = self._assembled(rays=max(self.site.lobe_rays // 2, 16) if rough else None)
             result = gauss_newton(problem, start=start, finish=False, **options)

@@ -17,9 +17,8 @@ from pathlib import Path
 from lib.core import artefact, record
 from lib.core.record import Wrong, flag, items, number, numbers, part, plain, table_of, told, word
 from lib.given import transfer_kinds
+from lib.given.kinds import KINDS, LOBES, MIRRORS
 
-KINDS = ("diffuse", "mirror", "coloured_mirror", "glossy", "textured")
-MIRRORS = ("mirror", "coloured_mirror")
 STATUSES = ("converged", "not converged", "nothing seen")  # of a fit; truth says "truth"
 SCALES = ("lamps", "reference", "interreflection", "convention")
 
@@ -81,6 +80,14 @@ class Group:
     @property
     def is_mirror(self):
         return self.kind in MIRRORS
+
+    @property
+    def has_lobe(self):
+        return self.kind in LOBES
+
+    @property
+    def is_specular(self):
+        return self.is_mirror or self.has_lobe
 
     @property
     def in_balance(self):

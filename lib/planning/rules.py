@@ -9,11 +9,11 @@ import re
 from pathlib import Path
 
 from lib.given import transfer_kinds
+from lib.given.kinds import KINDS
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "goals", "augment", "params")
 TRANSFERS = (*transfer_kinds.OF_LIGHT, "curve", *transfer_kinds.OF_PICTURE)
-KINDS = ("diffuse", "mirror", "coloured_mirror", "glossy", "textured")
 
 
 def show(value) -> str:

@@ -35,7 +35,8 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from lib.given.materials import MIRRORS, Group, Materials
+from lib.given.kinds import LOBES, MIRRORS
+from lib.given.materials import Group, Materials
 from lib.verdict.comparison import (
     ENOUGH_PX,
     Comparison,
@@ -246,7 +247,7 @@ def not_diffuse(groups):
     errors = []
     for prefix, kinds, keys in (
         ("mirror", MIRRORS, ("rho_s",)),
-        ("glossy", ("glossy",), ("rho_d", "rho_s", "alpha", "tangent")),
+        *((kind, (kind,), ("rho_d", "rho_s", "alpha", "tangent")) for kind in LOBES),
     ):
         members = [g for g in judged if g.kind[1] in kinds]
         for key in keys:

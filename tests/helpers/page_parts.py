@@ -5,6 +5,7 @@ import copy
 import numpy as np
 
 from lib.core import record
+from lib.given.kinds import ORDER
 from lib.given.materials import Materials
 from lib.picture.albedo_maps import AlbedoMap
 from lib.verdict import records, stage_reports
@@ -183,7 +184,7 @@ def texture(facet=7, nu=4, nv=2):
 
 def _up(rung, sigma=None):
     """A group of materials.json that climbed to a rung."""
-    below = ladder.RUNGS[1 : ladder.RUNGS.index(rung) + 1]
+    below = ORDER[1 : ORDER.index(rung) + 1]
     why = "off by 0.1387 beyond noise as diffuse; rho_s = 0.9, 0.8, 0.5 is not 1"
     tried = [{"rung": r, "excess": 0.1 / (i + 1), "diffuse": 0.14} for i, r in enumerate(below)]
     return group(

@@ -12,22 +12,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lib.given.materials import MIRRORS, Group, Materials
+from lib.given.kinds import KINDS, LOBES, MIRRORS, RUNGS
+from lib.given.materials import Group, Materials
 from lib.verdict.comparison import Deviation, GroupComparison, TextureComparison, Turn
 from lib.verdict.page.html import coordinate, css, finite, fixed, percent, plain, render, sentence
 from lib.verdict.page.pictures import SRGB, bytes8, display_function, uri
 from lib.verdict.stage_reports import LadderSummary, StageReport
 
 CHANNELS = ("R", "G", "B")
-RUNGS = ("diffuse", "mirror", "coloured_mirror", "glossy", "anisotropic", "textured")
-WORDS = {"mirror": "perfect mirror", "anisotropic": "glossy, anisotropic"}
 MOST = 6  # textures shown of a group
 BELOW_ALL = 1e-12  # errors below are drawn at the left end
 
 
 def word(rung):
     """A rung for people."""
-    return WORDS.get(rung) or plain(rung)
+    return RUNGS[rung].words if rung in RUNGS else plain(rung)
 
 
 def mark(in_sigmas):
@@ -43,7 +42,7 @@ def counts(materials: Materials | None):
     '1 mirror, 2 glossy'
     """
     kinds = [group.kind for group in materials.groups.values()] if materials else []
-    found = [(kinds.count(k), plain(k) + "s" * (k in MIRRORS and kinds.count(k) > 1)) for k in RUNGS[1:]]
+    found = [(kinds.count(k), plain(k) + "s" * (k in MIRRORS and kinds.count(k) > 1)) for k in KINDS[1:]]
     return ", ".join(f"{n} {what}" for n, what in found if n)
 
 
@@ -53,7 +52,7 @@ def sheen(group: Group):
         rho_s = [min(max(v, 0), 1) if finite(v) else 0 for v in group.rho_s or (0, 0, 0)]
         tint = css(bytes8(np.array(rho_s) ** 0.45))
         return f"linear-gradient(135deg, #7d8790 0 18%, {tint} 40%, #aab3ba 52%, {tint} 66%, #6f7880 90%)"
-    if group.kind != "glossy":
+    if not group.has_lobe:
         return None
     alpha = group.alpha or (0.1, 0.1)
     wide, high = (coordinate(100 * min(max(3 * a, 0.12), 0.9)) if finite(a) else "40" for a in alpha)
@@ -190,12 +189,12 @@ def _track(before, after, threshold, scale):
 
 
 def _stairs(rung, group: Group):
-    """The CSS class of each of the six steps: reached, tried and left, or passed (never tried)."""
+    """The CSS class of each step: reached, tried and left, or passed (never tried)."""
     tried = {"diffuse"}
     if group.ladder:
         tried |= {str(step.get("rung")) for step in group.ladder.tried or () if isinstance(step, dict)}
     if rung == "textured" and "given" not in _why(group):  # a texture is what no mirror and no lobe explains
-        tried |= {"mirror", "coloured_mirror", "glossy"}
+        tried |= {*MIRRORS, *LOBES}
     return ["reached" if name == rung else "tried" if name in tried else "passed" for name in RUNGS]
 
 
@@ -354,7 +353,6 @@ def _climbed(parts, ladder: Ladder, name, scale):
     known = (parts.compared.groups or {}).get(name, GroupComparison())
     found, true_kind = known.kind or (None, None)
     thumbnails = _largest(parts.thumbnails.get(name, {}))
-    has_lobe = group.is_mirror or group.kind == "glossy"
     perfect = group.kind == "mirror" and group.rho_s == (1.0, 1.0, 1.0)
     return Climbed(
         name=name,
@@ -368,7 +366,7 @@ def _climbed(parts, ladder: Ladder, name, scale):
         after=after,
         over=ladder.is_over(after),
         perfect=perfect,
-        rho_s=_values(group.rho_s, group.sigma.rho_s, known.rho_s) if has_lobe and not perfect else [],
+        rho_s=_values(group.rho_s, group.sigma.rho_s, known.rho_s) if group.is_specular and not perfect else [],
         alpha=_values(group.alpha, group.sigma.alpha, known.alpha, ("x", "y")),
         direction=_direction(group, known.tangent),
         why=_reason(group),
