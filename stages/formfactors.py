@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 """§3.3 Form factors (eq. 3.3) between adaptive patches, and from the patches to the lamps.
 
-    $ stages/formfactors.py --model model.obj --lamps '["lamp"]' --formfactors formfactors.npz --report formfactors.report.json
+    $ stages/formfactors.py --model model.obj --lamps '["lamp"]' --formfactors formfactors.npz \
+          --report formfactors.report.json
 
 reads   model         triangles, facets, groups
         lamps         the names of the groups that emit
 writes  formfactors   patches, sparse rows of F, lamp factors: good for as long as the geometry stands
+The report's trace has the `unevenness` of the mesh at each level: what patches of constant light lose.
 """
 
 import sys
@@ -45,20 +47,15 @@ def main(opt):
         model = models.load(opt.model)
         absent = [name for name in opt.lamps if name not in model.groups]
         if absent:
-            raise stage.BadInput(
-                *(
-                    f"{opt.model}: lamps: group {name!r} is not in the model (it has {', '.join(model.groups)})"
-                    for name in absent
-                )
-            )
+            has = f"is not in the model (it has {', '.join(model.groups)})"
+            raise stage.BadInput(*(f"{opt.model}: lamps: group {name!r} {has}" for name in absent))
 
         with report.timing("patches"):
             surface = surfaces.surface(model, opt.lamps)
             lamps = lamps_.emitters(surface, opt.lamps)
             try:
-                mesh = adapt.build(
-                    surface, patches=opt.patches, max_level=opt.max_level, contrast=opt.contrast, emitters=lamps
-                )
+                size = {"patches": opt.patches, "max_level": opt.max_level, "contrast": opt.contrast}
+                mesh = adapt.build(surface, **size, emitters=lamps, trace=report.trace)
             except ValueError as error:
                 raise stage.BadInput(f"{opt.model}: facets: {error}") from None
         with report.timing("factors"):
@@ -67,35 +64,15 @@ def main(opt):
             factor = lamps_.patch_direct(surface, mesh, lamps, len(opt.lamps), n_points=32)
 
         group = surface.group[mesh.side // 2]
-        area = (
-            np.bincount(surface.group, surfaces.facet_areas(surface), minlength=len(model.groups))
-            * surface.local.diagonal**2
-        )
-        factors = factors_file.FormFactors(
-            mesh, rows, factor, tuple(opt.lamps), group, model.groups, area, surface.local.diagonal
-        )
-        report["patches"] = len(mesh)
-        report["occluders"] = surface.n_occluders
-        report["solids"] = int(np.unique(surface.object[np.flatnonzero(surface.inside) // 2]).size)
-        report["rays"] = int(rows.shot.sum())
-        sums = rows.row_sums
-        report["patches_that_see_nothing"] = int((sums == 0).sum())  # in a solid, or lying on another facet
-        sums = sums[sums > 0]
-        report.error(
-            "row_sum.max_excess",
-            float(max(sums.max() - 1, 0)),
-            unit="1",
-            against="1 in a closed scene, before any normalisation",
-        )
-        report.error("row_sum.largest_opening", float(max(1 - sums.min(), 0)), unit="1", against="0 in a closed scene")
-        report.error("rays.lost", float(rows.lost.sum() / max(rows.shot.sum(), 1)), unit="1", against="0")
-        report.error(
-            "reciprocity.rms", reciprocity(factors), unit="sigma of the sampling", against="A_i F_ij = A_j F_ji"
-        )
+        diagonal = surface.local.diagonal
+        area = np.bincount(surface.group, surfaces.facet_areas(surface), minlength=len(model.groups)) * diagonal**2
+        factors = factors_file.FormFactors(mesh, rows, factor, tuple(opt.lamps), group, model.groups, area, diagonal)
+        describe(report, factors, surface)
         factors_file.write(opt.formfactors, factors)
 
 
 def rows_by(opt, surface, mesh):
+    """FormFactorRows between the patches, by opt.method."""
     from lib.light import form_factors
 
     try:
@@ -106,11 +83,29 @@ def rows_by(opt, surface, mesh):
         if opt.method == "analytic":
             from lib.light import exact_factors
 
-            rows = exact_factors.rows(surface, mesh)
-            return rows if isinstance(rows, form_factors.FormFactorRows) else form_factors.FormFactorRows.dense(rows)
+            return exact_factors.rows(surface, mesh)
     except (ValueError, RuntimeError) as error:
         raise stage.BadInput(f"{opt.model}: --method {opt.method}: {error}") from None
     return form_factors.rays(surface, mesh, n_rays=opt.rays, progress=stage.Bar("form factors"))
+
+
+def describe(report, factors, surface):
+    """What the user should know of the factors."""
+    import numpy as np
+
+    rows = factors.rows
+    report["patches"] = len(factors.mesh)
+    report["occluders"] = surface.n_occluders
+    report["solids"] = int(np.unique(surface.object[np.flatnonzero(surface.inside) // 2]).size)
+    report["rays"] = int(rows.shot.sum())
+    sums = rows.row_sums
+    report["patches_that_see_nothing"] = int((sums == 0).sum())  # in a solid, or lying on another facet
+    sums = sums[sums > 0]
+    closed = "1 in a closed scene, before any normalisation"
+    report.error("row_sum.max_excess", float(max(sums.max() - 1, 0)), unit="1", against=closed)
+    report.error("row_sum.largest_opening", float(max(1 - sums.min(), 0)), unit="1", against="0 in a closed scene")
+    report.error("rays.lost", float(rows.lost.sum() / max(rows.shot.sum(), 1)), unit="1", against="0")
+    report.error("reciprocity.rms", reciprocity(factors), unit="sigma of the sampling", against="A_i F_ij = A_j F_ji")
 
 
 def reciprocity(factors):

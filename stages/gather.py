@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""§4.5 The light that each part of the photograph receives: direct and indirect form factors of tiles of trusted pixels.
+"""§4.5 The light that each part of the photograph receives: form factors of tiles of trusted pixels.
 
     $ stages/gather.py --model model.obj --camera left.posed.cameramodel --photograph left.png --facet facet.png \
           --trusted trusted.png --formfactors formfactors.npz --gather gather.npz --report gather.report.json
 
 reads   model, camera, photograph, facet, trusted (only pixels of value 255 are used), formfactors
 writes  gather        tiles: pixels, lamp factors with shadows, rows of form factors to the patches
-        audit         the same, coarser, of every pixel that shows one facet: where the error tells whether a surface is diffuse
+        audit         the same, coarser, of every pixel that shows one facet; its error tells if a surface is diffuse
 """
 
 import sys

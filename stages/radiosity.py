@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """§3.3, figure 3.9 Radiosity by refinement: how the light spreads, iteration by iteration, by any of the solvers.
 
-    $ stages/radiosity.py --model model.obj --camera left.posed.cameramodel --photograph left.png --facet facet.png --formfactors formfactors.npz \
-          --materials materials.json --pictures radiosity.png --report radiosity.report.json --method progressive
+    $ stages/radiosity.py --model model.obj --camera left.posed.cameramodel --photograph left.png --facet facet.png \
+          --formfactors formfactors.npz --materials materials.json --pictures radiosity.png \
+          --report radiosity.report.json --method progressive
 
 reads   model, camera, photograph (its channels), facet, formfactors, materials
-writes  pictures      a sheet: the picture after 0, 1, 2, 4, 8, ... iterations and at the end, Gouraud-shaded, shown through T()
-                      of a scene whose brightest reflecting element is white
+writes  pictures      a sheet: the picture after 0, 1, 2, 4, 8, ... iterations and at the end, Gouraud-shaded, shown
+                      through T() of a scene whose brightest reflecting element is white
 The report has the residual against time. Only made where it is among a scene's goals: the picture proper is render's.
 """
 
@@ -44,7 +45,7 @@ def main(opt):
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
-            import cv2  # noqa: F401, E401  where lib/ imports late
+            import cv2  # noqa: F401  where lib/ imports late
             import numpy as np
 
             from lib.core import artefact
@@ -68,13 +69,16 @@ def main(opt):
         with report.timing("canvas"):
             canvas = gouraud.Canvas(surface, factors.mesh, view.camera, view.facet)
         emitted = gouraud.emittance(factors, factors.mesh.side % 2 == 0, lamps)
-        stages, due = [rho[factors.patch_group] * (factors.lamp_factor @ lamps)], [1]
+        pictures = [rho[factors.patch_group] * (factors.lamp_factor @ lamps)]
+        due = 1
 
         def keep(iteration, b):
-            if iteration >= due[0]:
-                stages.append(b)
-                due[0] *= 2
+            nonlocal due
+            if iteration >= due:
+                pictures.append(b)
+                due *= 2
 
+        begin = report.clocks()
         with report.timing("solve"):
             solution = gouraud.solve(
                 factors,
@@ -86,19 +90,18 @@ def main(opt):
                 overshoot=opt.overshoot == 1,
                 callback=keep,
             )
-        stages.append(solution.B)
+        pictures.append(solution.B)
         report.status = "converged" if solution.converged else "not converged"
-        report["trace"] = [
-            {"cpu_s": t, "iteration": i, "residual": r}
-            for i, t, r in solution.trace[:: max(1, len(solution.trace) // 200)]
-        ]
-        report["iterations"], report["pictures"] = solution.iterations, len(stages)
+        for step in solution.trace[:: max(1, len(solution.trace) // 200)]:
+            cpu_s, wall_s = begin.cpu + step.cpu_s, begin.wall + step.wall_s  # since the stage began, not the solve
+            report.trace(iteration=step.iteration, residual=step.residual, cpu_s=cpu_s, wall_s=wall_s)
+        report["iterations"], report["pictures"] = solution.iterations, len(pictures)
         report.error("residual", solution.residual, unit="camera-referred", against="eq. 3.2")
         if np.isfinite(solution.bound):
             report.error("bound", solution.bound, unit="camera-referred", against="the exact solution of these factors")
         white = max(float(np.max(solution.B)), 1e-12)  # the rescaling of figure 3.9
         exponent = 1 / (found.transfer.gamma or 2.2)
-        drawn = [np.clip(canvas.draw(emitted + b) / white, 0, 1) ** exponent for b in stages]
+        drawn = [np.clip(canvas.draw(emitted + b) / white, 0, 1) ** exponent for b in pictures]
         with artefact.writing(opt.pictures) as partial:
             sheet = gouraud.sheet(drawn, columns=4)
             image.write_png8(partial, (255 * np.repeat(sheet, 3 // sheet.shape[2], axis=2)).round().astype(int))

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""§3.3 The photograph rendered again: the light balance B = E + rho F B (eq. 3.2), seen by the camera, shown through T().
+"""§3.3 The photograph rendered again: the light balance B = E + rho F B (eq. 3.2), seen through T().
 
     $ stages/render.py --model model.obj --camera left.posed.cameramodel --photograph left.png --facet facet.png \
           --formfactors formfactors.npz --materials materials.json --coverage coverage.npz \
-          --rendered rendered.png --exr rendered.exr --difference difference.png --scores rendered.json --report render.report.json
+          --rendered rendered.png --exr rendered.exr --difference difference.png --scores rendered.json \
+          --report render.report.json
 
 reads   model, camera, photograph
         facet         the index buffer: index + 1, 0 = nothing there
@@ -14,6 +15,8 @@ writes  rendered      display values, channels and depth of the photograph (8 bi
         exr           the same before T(): linear
         difference    0.5 + gain (rendered - photograph), the gain in `scores`
         scores        {"rmse", "ciede2000", "groups": {name: {"rmse", "ciede2000"}}} of display values in [0, 1]
+The report's trace has two measures. `foretold_error`, while light is gathered: by how much neighbouring places fail to
+foretell each other's light, as a share of it. `rmse`, once at the end: of the picture against the photograph.
 """
 
 import sys
@@ -21,6 +24,8 @@ from pathlib import Path
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
 from lib.core import stage
+
+GAIN = 5.0  # of the difference picture
 
 
 def options():
@@ -54,8 +59,6 @@ def main(opt):
             import open3d  # noqa: F401
             import OpenEXR  # noqa: F401
 
-            from lib.core import artefact
-            from lib.given import image
             from lib.picture import display, phong, rendering
             from lib.picture import subject as subjects
 
@@ -73,53 +76,42 @@ def main(opt):
         with report.timing("scores"):
             shown, wanted = subject.show(picture.linear), subject.wanted
             values, depth = subject.quantised(shown)
-            scores = display.scores(values, wanted, subject.group, subject.groups) | {
-                "difference_gain": 5.0,
-                "difference_zero": 0.5,
-            }
-        report.trace(places=picture.facts["places"], rmse=scores["rmse"])
+            scores = display.scores(values, wanted, subject.group, subject.groups)
+            scores |= {"difference_gain": GAIN, "difference_zero": 0.5}
+        report.trace(rmse=scores["rmse"])
         with report.timing("comparisons"):
             local, ambient, power = phong.phong_picture(subject, picture)
-            report.error(
-                "phong.rmse",
-                display.rmse(subject.show(local), wanted),
-                unit="display",
-                against="photograph; eq. 3.1, ambient and power fitted",
-            )
+            against = "photograph; eq. 3.1, ambient and power fitted"
+            report.error("phong.rmse", display.rmse(subject.show(local), wanted), unit="display", against=against)
             report["phong"] = {"ambient": ambient, "power": power}
             if not subject.view.photograph.linear:
+                T = subject.transfer
                 report["transfer_models"] = display.transfer_models(
-                    picture.linear,
-                    wanted,
-                    subject.group,
-                    subject.pure,
-                    subject.transfer.kind,
-                    subject.transfer.gamma,
-                    subject.counted,
+                    picture.linear, wanted, subject.group, subject.pure, T.kind, T.gamma, subject.counted
                 )
         report.error("rmse", scores["rmse"], unit="display", against="photograph")
         report.error("ciede2000", scores["ciede2000"], unit="CIEDE2000", against="photograph, values read as sRGB")
         for key, value in picture.facts.items():
             report[key] = value
 
-        with (
-            report.timing("write"),
-            artefact.writing_all(opt.rendered, opt.exr, opt.difference, opt.scores) as (
-                rendered,
-                exr,
-                difference,
-                table,
-            ),
-        ):
-            (image.write_png16 if depth == 65535 else image.write_png8)(
-                rendered, subject.channels_of_file((values * depth).round().astype(int))
-            )
-            image.write_exr(exr, subject.channels_of_file(picture.linear))
-            image.write_png8(
-                difference,
-                subject.channels_of_file(((0.5 + 5.0 * (values - wanted)).clip(0, 1) * 255).round().astype(int)),
-            )
-            artefact.write_json(table, scores)
+        with report.timing("write"):
+            write(opt, subject, picture.linear, values, depth, scores)
+
+
+def write(opt, subject, linear, values, depth, scores):
+    """The stage's files, all or none.  values : (H, W, C) display;  depth : their largest number in the file"""
+    from lib.core import artefact
+    from lib.given import image
+
+    difference_of_display = (0.5 + GAIN * (values - subject.wanted)).clip(0, 1)
+    write_png = image.write_png16 if depth == 65535 else image.write_png8
+    of_file = subject.channels_of_file
+    names = (opt.rendered, opt.exr, opt.difference, opt.scores)
+    with artefact.writing_all(*names) as (rendered, exr, difference, table):
+        write_png(rendered, of_file((values * depth).round().astype(int)))
+        image.write_exr(exr, of_file(linear))
+        image.write_png8(difference, of_file((difference_of_display * 255).round().astype(int)))
+        artefact.write_json(table, scores)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Form factors against closed forms (DESIGN 5), by law (row sums, reciprocity, furnace, flux), and at the edge.
+"""Form factors against closed forms (docs/design.md), by law (row sums, reciprocity, furnace, flux), and at the edge.
 
 Bounds of the methods, measured and tested here:
   analytic   1e-9 everywhere, mostly 1e-15; refused where something can stand in between
@@ -55,12 +55,15 @@ CLOSED = [
 ]
 
 
-# -- analytic: closed forms
+# ---- analytic: closed forms ----
 
 
 @pytest.mark.parametrize("P, Q, expected", CLOSED)
 def test_polygons_in_closed_form(P, Q, expected):
-    """DESIGN 5; and the same turned, moved and scaled any way, in metres or in microns, from any first corner."""
+    """docs/design.md, Answers in closed form.
+
+    And the same turned, moved and scaled any way, in metres or in microns, from any first corner.
+    """
     assert exact_factors.polygon_to_polygon(P, Q) == pytest.approx(expected, abs=1e-12)
     for seed, scale, offset in ((0, 1.0, 0.0), (1, 1e-6, 0.0), (2, 1e6, 0.0), (3, 1.0, 100.0)):
         T = rotation(seed) * scale
@@ -112,7 +115,7 @@ def test_points():
     )
 
 
-# -- analytic: other evidence, and laws
+# ---- analytic: other evidence, and laws ----
 
 
 def test_skew_polygons_against_quadrature():
@@ -148,7 +151,7 @@ def test_sums_of_triangles():
 
 
 def test_horizon():
-    """A polygon that crosses the other's plane counts as far as it is in front; behind, or on the plane, it is nothing."""
+    """A polygon that crosses the other's plane counts as far as it is in front; behind or on it is nothing."""
     whole = np.array([[0.5, 0.5, -1], [0.5, 0.5, 1], [0.8, 0.6, 1], [0.8, 0.6, -1.0]])
     upper = whole.copy()
     upper[[0, 3], 2] = 0
@@ -171,7 +174,10 @@ def test_horizon():
 
 @pytest.mark.parametrize("gap", [0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3])
 def test_touching_and_nearly_touching(gap):
-    """Plates that close in on each other: F goes to 1, linearly in the gap; touching they are one plane, and nothing passes."""
+    """Plates that close in on each other: F goes to 1, linearly in the gap.
+
+    Touching they are one plane, and nothing passes.
+    """
     F = exact_factors.polygon_to_polygon(*facing(1, gap))
     if gap <= 1e-9:  # within FLAT of each other: the same plane
         assert F == 0
@@ -207,7 +213,7 @@ def test_without_area():
         exact_factors.point_to_polygon([0, 0, 0], [0, 0, 0], SQUARE)
 
 
-# -- a mesh by the three methods
+# ---- a mesh by the three methods ----
 
 
 def by(method, s, m, fine=1):
@@ -222,8 +228,10 @@ def by(method, s, m, fine=1):
 
 
 def between_facets(s, m, rows):
-    """Area times factor between the sides that have patches, (S, S), their areas outside solids, side numbers, and (S, S) the
-    variance of counting."""
+    """Area times factor between the sides that have patches (S, S), their areas outside solids, and their numbers.
+
+    The fourth value is the variance of counting (S, S).
+    """
     A = m.area * rows.exposed
     F = rows.matrix()
     side, idx = np.unique(m.side, return_inverse=True)
@@ -257,7 +265,7 @@ def test_closed_forms_by_every_method(tmp_path, method, P, Q, expected):
 
 @pytest.mark.parametrize("resolution", [16, 32, 64, 128, 256])
 def test_hemicube_against_the_element(tmp_path, resolution):
-    """From the centre of an uncut square: the factor of the element, to a pixel along the outline (2 R pixels long here)."""
+    """From the centre of an uncut square: the element's factor, to a pixel along the outline (2 R pixels long here)."""
     s = rooms.surface(tmp_path / "m.obj", {"a": [("a", SQUARE)], "b": [("b", SQUARE[::-1] + [0, 0, 1])]})
     m = rooms.patches(s, 2)
     try:
@@ -316,7 +324,7 @@ def test_hemicube_refuses(tmp_path, monkeypatch):
     "side, expected", [(0.25, 0.169474204911787), (0.5, 0.099506294598985), (0.75, 0.029483544914760)]
 )
 def test_occluder(tmp_path, method, side, expected):
-    """Parallel unit squares with an opaque square half way (DESIGN 5)."""
+    """Parallel unit squares with an opaque square half way (docs/design.md, Answers in closed form)."""
     low, high = 0.5 - side / 2, 0.5 + side / 2
     s = rooms.surface(
         tmp_path / "m.obj",
@@ -336,7 +344,7 @@ def test_occluder(tmp_path, method, side, expected):
         exact_factors.rows(s, m)
 
 
-# -- closed rooms
+# ---- closed rooms ----
 
 ROOMS = {
     "empty": rooms.room(),
@@ -415,8 +423,11 @@ def test_row_sums_before_any_normalisation(furnished, name):
 
 @every_room
 def test_reciprocity(furnished, name):
-    """A_i F_ij = A_j F_ji: between facets within 3 sigma of the counting, all of them; between patches that expect ten rays
-    or more as often as chance has it, and less: the points are spread."""
+    """A_i F_ij = A_j F_ji.
+
+    Between all facets within 3 sigma of the counting. Between patches that expect ten rays or more, no more misses than
+    chance has: the points are spread.
+    """
     s, m, rows = furnished(name)
     AF, A, side, variance = between_facets(s, m, rows)
     sigma = np.sqrt(variance + variance.T)
@@ -433,8 +444,10 @@ def test_reciprocity(furnished, name):
 
 @every_room
 def test_flux_balance(furnished, name):
-    """Every surface, lamp included, reflects rho: the mean illuminance is Phi / (S (1 - rho)), within 0.25 %; and what the lamp
-    sends arrives (the factors to the lamp's polygon, which do not come from these rays)."""
+    """Every surface, lamp included, reflects rho: the mean illuminance is Phi / (S (1 - rho)), within 0.25 %.
+
+    And what the lamp sends arrives: the factors to the lamp's polygon do not come from these rays.
+    """
     s, m, rows = furnished(name)
     A = m.area * rows.exposed
     lamp = s.group[m.side // 2] == s.groups.index("lamp" if "lamp" in s.groups else "top")
@@ -495,7 +508,7 @@ def test_hemicube_agrees_with_rays(furnished, name):
     assert np.sqrt(np.mean(((other.matrix() - rows.matrix()) @ light)[whole] ** 2)) < 0.01
 
 
-# -- at the edge: the law for each case of DESIGN 6
+# ---- at the edge: the law for each case of docs/design.md, Stiff cases ----
 
 
 @pytest.mark.parametrize(
@@ -536,7 +549,7 @@ def test_back_to_back(furnished):
 
 
 def test_coplanar(furnished, tmp_path):
-    """A poster drawn exactly on a wall hides it: the wall has the factor of what is left of it, and is not lit behind."""
+    """A poster drawn exactly on a wall hides it: the wall has the factor of what is left, and is not lit behind."""
     with_poster, names = group_factors(*furnished("on the wall"))
     s, m, rows = furnished("on the wall")
     assert ("p", 1) not in names
@@ -583,7 +596,10 @@ def test_inside_solids_is_dark(furnished):
     s, m, rows = furnished("overlapping")
     side, idx = np.unique(m.side, return_inverse=True)
     share = np.bincount(idx, m.area * rows.exposed) / np.bincount(idx, m.area)
-    open_ = {(s.groups[s.group[x // 2]], tuple(np.rint(s.normal[x // 2]).astype(int))): v for x, v in zip(side, share)}
+    open_ = {
+        (s.groups[s.group[x // 2]], tuple(np.rint(s.normal[x // 2]).astype(int))): v
+        for x, v in zip(side, share, strict=True)
+    }
     expected = {
         ("a", (0, 0, 1)): 0.75,
         ("a", (1, 0, 0)): 0.5,
@@ -638,7 +654,7 @@ def test_a_room_with_a_gap_loses_what_escapes(tmp_path):
 
 
 def test_lamps_a_million_apart_in_size(tmp_path):
-    """A panel of a square metre and one of a square millimetre: all that each sends arrives, and each keeps its digits."""
+    """A panel of a square metre and one of a square millimetre: all they send arrives, and each keeps its digits."""
     small = [(3, 1, 2.4), (3, 1.001, 2.4), (3.001, 1.001, 2.4), (3.001, 1, 2.4)]
     s = rooms.surface(
         tmp_path / "m.obj", rooms.room() | rooms.LAMP | rooms.panel("spot", *small), lamps=("lamp", "spot")
@@ -653,13 +669,15 @@ def test_lamps_a_million_apart_in_size(tmp_path):
     assert light == pytest.approx([2, 2], rel=2.5e-3), "flux / (1 - rho), both lamps at the same power"
 
 
-# -- subdivision
+# ---- subdivision ----
 
 
 def test_adapted_patches_are_worth_twice_as_many():
-    """`office`, against 14,000 patches: the irradiance of the groups (mean error over those of 0.2 % of the surface or more) is as
-    good from adapted patches as from twice as many uniform ones; patch by patch (root mean square over the surface), from
-    half as many again."""
+    """`office`, against 14,000 patches: adapted patches are as good as many more uniform ones.
+
+    As good as twice as many for the irradiance of the groups (mean error over those of 0.2 % of the surface or more).
+    As good as half as many again patch by patch (root mean square over the surface).
+    """
     scene = model.load(Path(__file__).resolve().parents[1] / "data" / "office" / "model.obj")
     s = surface.surface(scene, ["lamp"])
     lamps = lamps_.emitters(s, ["lamp"])

@@ -1,4 +1,4 @@
-"""lib/gouraud.py and stages/radiosity.py: figure 3.9."""
+"""lib/picture/gouraud.py and stages/radiosity.py: figure 3.9."""
 
 import json
 import subprocess
@@ -42,6 +42,8 @@ def made(tmp_path_factory):
         0.1,
         "--rays",
         64,
+        "--report",
+        out / "f.report.json",
     )
     return out
 
@@ -89,10 +91,15 @@ def test_every_solver_draws_the_same_end(made):
     assert abs((factors.area @ shot) / (factors.area @ exact) - 1).max() < 0.01
 
 
-def test_the_stage_writes_its_sheet(made):
+@pytest.fixture(scope="module")
+def sheet(made):
+    return spread(made, "progressive", "--method", "progressive")
+
+
+def test_the_stage_writes_its_sheet(sheet):
     import cv2
 
-    picture, report = spread(made, "progressive", "--method", "progressive")
+    picture, report = sheet
     assert report["status"] == "converged" and report["pictures"] > 5
     image = cv2.imread(str(picture))
     rows = -(-report["pictures"] // 4)
@@ -101,6 +108,29 @@ def test_the_stage_writes_its_sheet(made):
     assert last.mean() > first.mean() > 10  # light arrives
     residual = [point["residual"] for point in report["trace"]]
     assert residual[-1] < 0.01 * residual[0]
+
+
+def test_the_trace_has_both_clocks_since_the_stage_began(sheet):
+    """As SCENE.md says of every report. A fixed bug left wall_s out and began at the solve."""
+    _, report = sheet
+    trace = report["trace"]
+    assert all({"cpu_s", "wall_s", "iteration", "residual"} == set(point) for point in trace) and len(trace) > 2
+    for clock in ("cpu_s", "wall_s"):
+        times = [point[clock] for point in trace]
+        before = report["timings"]["canvas"][clock]
+        assert before < times[0] and times == sorted(times) and times[-1] <= report[clock]
+    assert [point["iteration"] for point in trace] == sorted(point["iteration"] for point in trace)
+
+
+def test_form_factors_leave_a_trace(made):
+    """One point for each level of the mesh; patches of constant light lose less and less. A fixed bug left no trace."""
+    report = json.loads((made / "f.report.json").read_text())
+    trace = report["trace"]
+    assert len(trace) > 2 and all({"cpu_s", "wall_s", "iteration", "patches", "unevenness"} == set(p) for p in trace)
+    patches, unevenness = ([point[key] for point in trace] for key in ("patches", "unevenness"))
+    assert patches == sorted(patches) and patches[0] >= 50 and patches[-1] <= report["patches"]
+    assert 0 < unevenness[-1] < 0.7 * unevenness[0] < 0.7
+    assert [point["cpu_s"] for point in trace] == sorted(point["cpu_s"] for point in trace)
 
 
 def test_a_constant_radiosity_is_drawn_constant(made):

@@ -63,8 +63,6 @@ LONG = {
 LATE_FOR_NOW = (
     "lib.given.lenses",
     "lib.vision.",
-    "lib.light.",
-    "lib.picture.",
 )
 LONG_FOR_NOW = ("lib.vision.calibration",)
 

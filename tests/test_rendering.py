@@ -1,6 +1,10 @@
-"""The picture: by hand (closed forms), by law (furnace, flux, units), by difference (many rays, finer pixels), at the edge."""
+"""The picture.
+
+By hand (closed forms), by law (furnace, flux, units), by difference (many rays, finer pixels), at the edge.
+"""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -28,18 +32,16 @@ from lib.picture import (
     rendering,
     texels,
 )
-from lib.picture import (
-    leaves as leaves_,
-)
-from lib.picture import (
-    pixels as pixels_,
-)
+from lib.picture import leaves as leaves_
+from lib.picture import pixels as pixels_
 from lib.picture.appearance import Appearance
 from lib.picture.subject import Quality, Subject
+from lib.verdict.page import running
 from tests.helpers import rooms
+from tests.helpers.page_parts import parts_of
 from tests.helpers.views import SIZE, look
 
-UNDER_UNIT_SQUARE = 0.23945647046077354  # element under the centre of a unit square, distance 1 (DESIGN 5)
+UNDER_UNIT_SQUARE = 0.23945647046077354  # element under the centre of a unit square, distance 1
 
 
 def scene(
@@ -103,11 +105,14 @@ def office(tmp_path_factory):
     return s, rendering.render(s)
 
 
-# -- by hand
+# ---- by hand ----
 
 
 def floor_below(folder, extra, E=4.0):
-    """A unit lamp 1 above a floor of reflectance 0.5 in a black hall, seen from the side: the middle pixel shows the spot below its centre."""
+    """A unit lamp 1 above a floor of reflectance 0.5 in a black hall, seen from the side.
+
+    The middle pixel shows the spot below the lamp's centre.
+    """
     objects = (
         rooms.room(6, 6, 6) | rooms.panel("lamp", (2.5, 2.5, 1), (2.5, 3.5, 1), (3.5, 3.5, 1), (3.5, 2.5, 1)) | extra
     )
@@ -158,7 +163,6 @@ def test_fragments_are_weighed_by_area_in_linear_light():
         np.array([0, 2], np.int32),
         np.zeros((2, 3)),
         np.arange(2),
-        1,
         np.array([[0, 1]]),
     )
     none = np.zeros((0, 3))
@@ -177,7 +181,7 @@ def test_fragments_are_weighed_by_area_in_linear_light():
     assert picture[0, :, 0] == pytest.approx([0.4, 0.4 * 0.25 + 1.0 * 0.5])  # a quarter shows nothing: black
 
 
-# -- by law
+# ---- by law ----
 
 
 def test_furnace(tmp_path):
@@ -219,7 +223,7 @@ def test_one_channel_as_three(office, tmp_path):
     assert coloured == pytest.approx(np.repeat(grey, 3, axis=2), rel=1e-3, abs=1e-5)
 
 
-# -- by difference
+# ---- by difference ----
 
 
 def test_interpolated_light_against_many_rays(office):
@@ -270,7 +274,7 @@ def test_mixed_pixels_against_finer_ones(office, tmp_path):
     assert rms(picture.linear) < 0.02 < rms(bare)
 
 
-# -- display
+# ---- display ----
 
 
 def test_histogram_finds_the_transfer():
@@ -325,7 +329,7 @@ def test_phong_finds_its_two_numbers(office):
     assert ambient == pytest.approx([0.3], rel=1e-3) and power == pytest.approx([0.7], rel=1e-3)
 
 
-# -- at the edge
+# ---- at the edge ----
 
 
 def test_a_camera_that_sees_nothing(tmp_path):
@@ -396,7 +400,7 @@ def test_materials_are_checked(tmp_path, change, word):
     assert str(path) in str(error.value) and word in str(error.value)
 
 
-# -- from outside
+# ---- from outside ----
 
 
 def test_as_a_user_would(tmp_path, run, refuses):
@@ -435,9 +439,8 @@ def test_as_a_user_would(tmp_path, run, refuses):
     words = lambda files: [w for key, name in files.items() for w in (f"--{key}", tmp_path / name)]
     (tmp_path / "short.png").write_bytes((tmp_path / "left.png").read_bytes()[:200])
     lines = refuses("stages/render.py", *words(inputs | {"photograph": "short.png"} | outputs))
-    assert (
-        len(lines) == 1 and "short.png" in lines[0] and not any((tmp_path / name).exists() for name in outputs.values())
-    )
+    assert len(lines) == 1 and "short.png" in lines[0]
+    assert not any((tmp_path / name).exists() for name in outputs.values())
     result = run("stages/render.py", *words(inputs | outputs))
     assert result.returncode == 0, result.stderr
     linear, shown = image.read_exr(tmp_path / "rendered.exr"), image.read_photograph(tmp_path / "rendered.png")
@@ -445,18 +448,27 @@ def test_as_a_user_would(tmp_path, run, refuses):
     assert shown.values == pytest.approx(np.clip(linear, 0, 1)[..., : shown.values.shape[2]] ** (1 / 2.2), abs=1e-4)
     report, scores = (json.loads((tmp_path / name).read_text()) for name in ("render.report.json", "rendered.json"))
     errors = {e["name"]: e["value"] for e in report["errors"]}
-    assert (
-        errors["rmse"] == scores["rmse"]
-        and {"flux", "ciede2000", "phong.rmse"} <= set(errors)
-        and "wall" not in scores["groups"]
-    )
-    assert {r["kind"] for r in report["transfer_models"]} == set(display.KINDS) and report["trace"]
+    assert errors["rmse"] == scores["rmse"] and {"flux", "ciede2000", "phong.rmse"} <= set(errors)
+    assert "wall" not in scores["groups"]
+    assert {r["kind"] for r in report["transfer_models"]} == set(display.KINDS)
+    two_measures(report, scores["rmse"])
+
+
+def two_measures(report, rmse):
+    """The trace has the gathering's error and the picture's, each under its own name; the page does not join them."""
+    clocks = {"cpu_s", "wall_s", "iteration"}
+    *gathering, last = report["trace"]
+    assert gathering and all(set(point) == clocks | {"places", "foretold_error"} for point in gathering)
+    assert set(last) == clocks | {"rmse"} and last["rmse"] == rmse
+    section = running.convergence_section(parts_of({"reports": {"render": report}}))
+    lines = [line.split() for line in re.findall(r'<polyline class="line \w+" points="([^"]*)"', section)]
+    assert sorted(map(len, lines)) == sorted((len(gathering), 1))
 
 
 def test_light_map_where_solids_overlap(tmp_path):
     """A texel inside a solid does not count, also where a ray up from it meets the outer side of a third solid first.
 
-    Two beams reach into a block from both its sides and leave a gap inside it: their ends face each other across the gap.
+    Two beams reach into a block from both its sides and leave a gap inside it, across which their ends face each other.
     """
     boxes = {
         "block": ((1.0, 1.0, 0), (3.0, 2.0, 0.8)),

@@ -1,7 +1,7 @@
-"""lib/specular.py, and what lib/reflectance.py makes of it: light by way of mirrors and lobes.
+"""lib/light/specular.py, and what the inverse problem makes of it: light by way of mirrors and lobes.
 
-By hand (a mirrored lamp, facing mirrors), by law (furnaces, energy, invariance), by difference (quadrature, finite differences,
-brute force), at the edge (mirrors that see nothing, rooms of mirrors).
+By hand (a mirrored lamp, facing mirrors), by law (furnaces, energy, invariance), by difference (quadrature, finite
+differences, brute force), at the edge (mirrors that see nothing, rooms of mirrors).
 """
 
 from dataclasses import replace
@@ -75,7 +75,7 @@ def mirrored(s, spec, lamps, p, side, n_samples=256, chains=None, **options):
     return F, images, way, complete
 
 
-# -- a floor under a mirror, beside it a lamp that shines upwards
+# ---- a floor under a mirror, beside it a lamp that shines upwards ----
 
 LAMP = rectangle((1.5, -0.5, 1), (1, 0, 0), (0, 1, 0))
 IMAGE = rectangle((1.5, -0.5, 3), (1, 0, 0), (0, 1, 0))
@@ -96,7 +96,10 @@ def under_a_mirror(half, *more):
 
 
 def through(p, corners, opening, n=400):
-    """Form factor from p on the floor to a parallelogram as far as the square `opening` (z, half) shows it, by brute force."""
+    """Form factor from p on the floor to a parallelogram as far as the square `opening` (z, half) shows it.
+
+    By brute force.
+    """
     q, area = midpoints(corners, n)
     v = q - p
     at = p + v * ((opening[0] - p[2]) / v[:, 2])[:, None]
@@ -136,7 +139,10 @@ def test_something_stands_on_the_way(screen):
 
 
 def test_both_sides_of_one_polygon():
-    """A mirror that hangs down between two halves of a room, under a lamp that both have a part of: each half sees its own part mirrored."""
+    """A mirror that hangs down between two halves of a room, under a lamp that reaches into both.
+
+    Each half sees its own part of the lamp mirrored.
+    """
     s = surface(
         [
             ("floor", rectangle((-3, -3, 0), (6, 0, 0), (0, 6, 0))),
@@ -160,7 +166,10 @@ def test_both_sides_of_one_polygon():
 
 @pytest.mark.parametrize("how, options", [("mirror", {"complete": 0}), (0.005, {})])
 def test_rays_and_a_sharp_lobe_find_the_mirrored_lamp(how, options):
-    """What is not left to images: rays that go on at the mirror, or a lobe as sharp as one; within the sampling error of 2^17 rays."""
+    """What is not left to images: rays that go on at the mirror, or a lobe as sharp as one.
+
+    Within the sampling error of 2^17 rays.
+    """
     s = under_a_mirror(8)
     rows, chains = elements(
         s,
@@ -188,7 +197,7 @@ def test_mirrors_of_many_facets_leave_their_lamps_to_the_rays():
     assert images == [] and len(way) == 0 and not complete
 
 
-# -- facing mirrors
+# ---- facing mirrors ----
 
 
 def facing(height=10.0, depth=2.0):
@@ -203,7 +212,10 @@ def facing(height=10.0, depth=2.0):
 
 
 def test_rays_between_facing_mirrors():
-    """A ray that climbs by z a crossing meets (height - start) / z of them, turn by turn, and its light is the product of as many rho_s."""
+    """A ray that climbs by z a crossing meets (height - start) / z mirrors in turn.
+
+    Its light is the product of their rho_s.
+    """
     s = facing()
     spec, chains = finish(s, left="mirror", right="mirror"), chains_.Chains(2)
     climbs = np.array([0.33, 0.41, 0.77, 1.3, 4.1, 9.0, 25.0])
@@ -270,8 +282,10 @@ def shown(rows, chains, first, columns, rho_s):
 
 
 def test_furnace_of_facing_mirrors(corridor):
-    """Every diffuse side of radiosity 1: so is what arrives, but for what is still between the mirrors after DEPTH crossings: it would
-    have to reach the mirrored wall at DEPTH rooms' distance, of factor A / (pi d^2) at most."""
+    """Every diffuse side has radiosity 1, and so has what arrives, but for what is in mirrors after DEPTH crossings.
+
+    That would have to reach the mirrored wall at DEPTH rooms' distance, of factor A / (pi d^2) at most.
+    """
     s, spec, p, rows, chains, first, plain = corridor
     d = 4.0 * (paths.DEPTH - 1)
     missing = 2 * 3.0 * 2.5 / (np.pi * d * d)
@@ -281,8 +295,10 @@ def test_furnace_of_facing_mirrors(corridor):
 
 @pytest.mark.parametrize("rho_s", [(0.8, 0.8), (0.9, 0.4), (0.0, 1.0)])
 def test_series_of_facing_mirrors(corridor, rho_s):
-    """By unfolding: the share of rays that meet k mirrors at least is the factor P_k of the wall mirrored k - 1 times; they go on with the
-    product of the rho_s. Sum = 1 - P_1 + sum_k rho ... (P_k - P_k+1)."""
+    """By unfolding: the share of rays that meet k mirrors at least is the factor P_k of the wall mirrored k - 1 times.
+
+    They go on with the product of the rho_s. Sum = 1 - P_1 + sum_k rho ... (P_k - P_k+1).
+    """
     s, spec, p, rows, chains, first, plain = corridor
     exact = []
     for q in p:
@@ -297,7 +313,10 @@ def test_series_of_facing_mirrors(corridor, rho_s):
 
 
 def test_images_in_facing_mirrors():
-    """A lamp between them is there again to the depth, once a crossing and way; each has the factor of its polygon through the mirror's frame."""
+    """A lamp between them is there again to the depth, once for each crossing and way.
+
+    Each image has the factor of its polygon through the mirror's frame.
+    """
     s = surface(
         [
             ("left", rectangle((0, -5, 0), (0, 10, 0), (0, 0, 10))),
@@ -322,17 +341,17 @@ def test_images_in_facing_mirrors():
         [[k // 2, k - k // 2] for k in range(1, 5)] + [[k - k // 2, k // 2] for k in range(1, 5)]
     )
     by_order = {}
-    for k, image in zip(chains.counts[way].sum(axis=1), images):
+    for k, image in zip(chains.counts[way].sum(axis=1), images, strict=True):
         x = (image.corners[..., 0] * s.local.diagonal + s.local.centre[0]).ravel()
         by_order.setdefault(int(k), []).append((round(x.min(), 6), round(x.max(), 6)))
     assert sorted(by_order[1]) == [(-1.2, -0.6), (2.8, 3.4)] and sorted(by_order[2]) == [(-3.4, -2.8), (4.6, 5.2)]
-    for f, image in zip(F[0], images):
+    for f, image in zip(F[0], images, strict=True):
         x = image.corners[..., 0] * s.local.diagonal + s.local.centre[0]
         exact = factor(p[0], UP, [(x.min(), -0.5, 3), (x.min(), 0.5, 3), (x.max(), 0.5, 3), (x.max(), -0.5, 3)])
         assert f == pytest.approx(exact, rel=1e-6)
 
 
-# -- mirrors at the edge
+# ---- mirrors at the edge ----
 
 
 def test_a_mirror_that_sees_nothing():
@@ -381,8 +400,10 @@ def test_a_mirror_that_sees_only_itself():
     "walls", [("west", "east", "south", "north"), ("bottom", "top", "west", "east", "south", "north")]
 )
 def test_a_room_of_mirrors_ends(walls):
-    """Every wall a mirror of its own group: the ways are many (by how often each was met), yet not more than the rays' pieces, and none is lost on
-    a table between them: what arrives is 1 at most."""
+    """Every wall is a mirror of its own group: the chains are many, yet not more than the rays' pieces.
+
+    None is lost on a table between the walls: what arrives is 1 at most.
+    """
     s = surface(closed_room() + [("table", rectangle((1, 1, 0.7), (1, 0, 0), (0, 1, 0)))])
     mesh, spec = rooms.patches(s, 60), finish(s, **dict.fromkeys(walls, "mirror"))
     rows, chains = elements(s, mesh, spec, NO_LAMP(s), [[1.4, 1.6, 0.7]], side_of(s, "table"), 512)
@@ -405,7 +426,10 @@ FOUR_WALLS = (("west", "east", "south", "north"), 0.02)
     ],
 )
 def test_all_light_of_a_lamp_ends_somewhere(walls, within):
-    """In a closed room with perfect mirrors every lumen of the lamp ends on a diffuse side: the sum of area times factor is the lamp's area."""
+    """In a closed room with perfect mirrors every lumen of the lamp ends on a diffuse side.
+
+    So the sum of area times factor is the lamp's area.
+    """
     s = surface(closed_room() + [("lamp", rectangle((1.5, 1, 2.4), (0, 1, 0), (1, 0, 0)))], ["lamp"])
     lamps, mesh, spec = lamps_.emitters(s, ["lamp"]), rooms.patches(s, 60), finish(s, **dict.fromkeys(walls, "mirror"))
     ways = specular.transport(
@@ -431,7 +455,7 @@ def test_no_lamps_at_all(corridor):
     assert again.D == {} and len(again.F) > 2
 
 
-# -- gloss
+# ---- gloss ----
 
 
 @pytest.fixture(scope="module")
@@ -442,7 +466,10 @@ def hall():
 
 @pytest.mark.parametrize("alpha", [0.01, 0.1, 0.6])
 def test_furnace_with_a_glossy_wall(hall, alpha):
-    """Every side of radiosity 1: a lobe shows its albedo, at every angle. Of n samples of weights up to 2 the mean is that close."""
+    """Every side has radiosity 1: a lobe shows its albedo, at every angle.
+
+    The mean of n samples of weights up to 2 is that close.
+    """
     s, mesh = hall
     angles, n = np.radians([0, 30, 60, 75, 85]), 4096
     wall = side_of(s, "west") // 2
@@ -477,8 +504,10 @@ def test_furnace_with_a_brushed_wall(hall):
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3])
 def test_the_sampling_error_of_specular_ways_is_known(alpha):
-    """A ceiling above a glossy floor and a lamp: over 400 tiles at one place, whose rays alone differ, the spread of two sets of rays is
-    that of the tiles, and asking for it changes the light by no more than rounding."""
+    """A ceiling above a glossy floor and a lamp, 400 tiles at one place that differ in their rays alone.
+
+    The spread of two sets of rays is that of the tiles, and asking for it changes the light by no more than rounding.
+    """
     s = surface(
         [(n, q) for n, q in closed_room() if n != "lamp"]
         + [("lamp", rectangle((1, 1, 1.5), (0, 0.6, 0), (0.6, 0, 0)))],
@@ -511,7 +540,7 @@ def lit_floor(*more):
 
 
 def seen_from(angle, beside):
-    """The place on the floor from which, seen at this angle, the lamp's middle is mirrored, moved aside; the direction of the view."""
+    """The place on the floor that mirrors the lamp's middle at this angle, moved aside, and the view's direction."""
     v = np.array([np.sin(angle), 0, -np.cos(angle)])
     return np.array([0.8 - 1.5 * np.tan(angle) + beside, 0, 0]), v
 
@@ -528,8 +557,11 @@ def quadrature(p, v, corners, alpha, n=600):
 @pytest.mark.parametrize("alpha", [0.01, 0.03, 0.1, 0.3, 0.6])
 @pytest.mark.parametrize("angle, beside", [(20, 0), (60, 0), (60, 0.35)])
 def test_a_lamp_in_a_lobe(alpha, angle, beside):
-    """Rays to the lamp and rays of the lobe together (balance heuristic) are the integral of f cos over the lamp. Their noise is within the
-    heuristic's bound: variance of the better way alone + mean^2 / 2 n (Veach, theorem 9.2), and 7 % at most, where one way alone has up to 110 %, the other 45 %."""
+    """Rays to the lamp and rays of the lobe together (balance heuristic) are the integral of f cos over the lamp.
+
+    Their noise is within the heuristic's bound: variance of the better way alone + mean^2 / 2 n (Veach, theorem 9.2).
+    It is 7 % at most, where one way alone has up to 110 %, and the other 45 %.
+    """
     s, n, places = lit_floor(), 64, 64
     lamps, spec = lamps_.emitters(s, ["lamp"]), finish(s, floor=alpha)
     p, v = seen_from(np.radians(angle), beside)
@@ -573,7 +605,10 @@ def one_way(s, spec, lamps, p, v, n, places, alpha):
 
 
 def test_a_lobe_finds_the_lamp_in_a_mirror():
-    """A glossy floor under a large mirror, the lamp's front away from it: the lobe of the mirrored lamp, times the mirror's rho_s."""
+    """A glossy floor under a large mirror, the lamp's front away from it.
+
+    What is seen is the lobe of the mirrored lamp, times the mirror's rho_s.
+    """
     s = surface(
         [
             ("floor", rectangle((-4, -4, 0), (8, 0, 0), (0, 8, 0))),
@@ -609,7 +644,7 @@ def test_the_ceiling_of_a_cube_is_a_lamp_and_its_walls_are_not():
     assert [s.groups[s.group[f]] for f in lamp.facets] == ["top"]
 
 
-# -- chains and their sums
+# ---- chains and their sums ----
 
 
 def test_chains_count_and_join():
@@ -655,7 +690,10 @@ def sparse(rng, rows, columns, share=0.3, sort=True):
 @pytest.mark.parametrize("with_base", [True, False])
 @pytest.mark.parametrize("sort", [True, False])
 def test_a_mixture_is_the_plain_sum_and_leaves_its_parts_alone(with_base, sort):
-    """Parts that share their index arrays, or have them unsorted: a fixed bug sorted shared indices in place, away from their values."""
+    """Parts that share their index arrays, or have them unsorted.
+
+    A fixed bug sorted shared indices in place, away from their values.
+    """
     rng = np.random.default_rng(1)
     base = sparse(rng, 7, 9, sort=sort)
     one = sparse(rng, 7, 9, sort=sort)
@@ -674,9 +712,8 @@ def test_a_mixture_is_the_plain_sum_and_leaves_its_parts_alone(with_base, sort):
         assert mixed.toarray() == pytest.approx(plain, rel=1e-6, abs=1e-7)
     for k, A in (*parts.items(), (0, base)):
         dense, *arrays = before[k]
-        assert all(np.array_equal(x, y) for x, y in zip(arrays, (A.indices, A.data, A.indptr))) and np.array_equal(
-            dense, A.toarray()
-        )
+        assert all(np.array_equal(x, y) for x, y in zip(arrays, (A.indices, A.data, A.indptr), strict=True))
+        assert np.array_equal(dense, A.toarray())
 
 
 def test_a_mixture_of_nothing():
@@ -686,11 +723,14 @@ def test_a_mixture_of_nothing():
     assert mixture_.Mixture(None, {2: A}).at(np.array([0, 0, 0.5])) == pytest.approx(A / 2)
 
 
-# -- the inverse problem
+# ---- the inverse problem ----
 
 
 def problem(C=3, seed=0, tiles=40, doubts=()):
-    """Six patches, a lamp, a mirror (group 5) and a glossy group (4) with random ways: not a scene, but all of the equations."""
+    """Six patches, a lamp, a mirror (group 5) and a glossy group (4) with random ways.
+
+    Not a scene, but all of the equations.
+    """
     rng = np.random.default_rng(seed)
     N, T = 12, 5 * tiles
     patch_group = np.arange(N) // 2
@@ -771,7 +811,7 @@ def check_derivatives(at, layout, p):
                 for sign in (1, -1)
             )
             slope = (there - back) / (2 * d[k])
-            # the block solve is stopped at 3e-3, single precision carries 1e-6 / step, central differences err by step^2
+            # the block solve stops at 3e-3, single precision carries 1e-6 / step, central differences err by step^2
             assert np.abs(J[:, k] - slope).max() <= (4e-3 + 2 * step**2 * 10) * np.abs(slope).max() + 5e-6 / d[k], (
                 step,
                 k,
@@ -782,7 +822,10 @@ def check_derivatives(at, layout, p):
     "C, rho_s", [(1, [[0.4], [0.8]]), (3, [[0.4, 0.3, 0.2], [0.9, 0.8, 0.7]]), (3, [[0.4, 0.4, 0.4], [0.8, 0.8, 0.8]])]
 )
 def test_derivatives_of_the_whole_specular_problem(C, rho_s):
-    """rho_d, E, rho_s, shapes of lobes and gamma against central differences; one matrix for all channels where rho_s is grey."""
+    """rho_d, E, rho_s, shapes of lobes and gamma against central differences.
+
+    One matrix serves all channels where rho_s is grey.
+    """
     p = problem(C)
     at, layout = linearised(p, rho_s, np.zeros(2))
     assert len(layout.rho_s) == 2 * C and len(layout.bend) == 2 and layout.gamma
@@ -795,7 +838,10 @@ def test_derivatives_where_lobes_are_bent():
 
 
 def test_no_specular_light_is_the_diffuse_problem():
-    """rho_s = 0: what every chain brings is nothing; the picture is that of the diffuse problem but for what mirrors show, which is black."""
+    """rho_s = 0: chains bring nothing.
+
+    The picture is that of the diffuse problem, but for what mirrors show, which is black.
+    """
     p = problem(1)
     at, _ = linearised(p, [[0.0], [0.0]], np.zeros(2))
     plain = replace(p, specular=None)
@@ -827,7 +873,7 @@ def test_the_right_answer_is_found_again():
     assert result.state.rho[seen] == pytest.approx(at.state.rho[seen], abs=2e-3)
 
 
-# -- invariances
+# ---- invariances ----
 
 
 @pytest.mark.parametrize("placed", [dict(offset=(1e6, -1e6, 1e6)), dict(scale=1e-3), dict(scale=1e4)])
@@ -854,11 +900,14 @@ def test_same_light_in_millimetres_and_far_away(placed):
     assert all(rows1.D[k] == pytest.approx(rows0.D[k], abs=5e-4) for k in rows0.D)
 
 
-# -- what a mirror shows
+# ---- what a mirror shows ----
 
 
 def brute(polygons, eye, v, mirrors, depth=64):
-    """The first polygon that is no mirror on each ray's way, and how often each mirror was met; in double precision, polygon by polygon."""
+    """The first polygon that is no mirror on each ray's way, and how often each mirror was met.
+
+    In double precision, polygon by polygon.
+    """
     n = len(v)
     p, v = np.tile(eye, (n, 1)), v.copy()
     end, count, places = np.full(n, -1), np.zeros((n, len(mirrors)), int), np.zeros((n, 3))
@@ -893,8 +942,10 @@ def brute(polygons, eye, v, mirrors, depth=64):
     ],
 )
 def test_the_virtual_index_buffer(mirrors, missing):
-    """What each pixel shows by way of mirrors (one, mirror in mirror, facing ones; closed rooms and open ones) is the reflected camera's view,
-    but for pixels whose ray passes within float32 of an edge. Nothing there: -1; never a NaN."""
+    """What each pixel shows in mirrors is the reflected camera's view, but for rays within float32 of an edge.
+
+    One mirror, a mirror in a mirror, facing ones; closed rooms and open ones. Nothing there: -1; never a NaN.
+    """
     polygons = [(g, [np.array(x, float) for x in c]) for g, c in closed_room() if g not in missing] + [
         ("desk", rectangle((0.6, 0.4, 0.7), (1, 0, 0), (0, 1, 0)))
     ]

@@ -1,4 +1,7 @@
-"""Ward's BRDF: by hand and by peers (Radiance, published albedos), by law (reciprocity, energy, sampling), by difference, at the edge."""
+"""Ward's BRDF: by hand and by peers (Radiance, published albedos), by law (reciprocity, energy, sampling).
+
+And by difference, and at the edge.
+"""
 
 import csv
 
@@ -29,7 +32,7 @@ def sphere(n, seed, upper=True):
     return v
 
 
-# -- by hand, by peers
+# ---- by hand, by peers ----
 
 
 @pytest.mark.parametrize(
@@ -44,12 +47,18 @@ def sphere(n, seed, upper=True):
     ],
 )
 def test_albedos_of_the_design(alpha, form, table):
-    """DESIGN 3, at 0, 45, 75 and 89 degrees, as printed (one of them, 1 - 0.05^2 = .9975, lies between two)."""
+    """docs/design.md, Ward's forms, at 0, 45, 75 and 89 degrees, as printed.
+
+    One of them, 1 - 0.05^2 = .9975, lies between two.
+    """
     assert ward.albedo(form, alpha, alpha, np.radians([0, 45, 75, 89])) == pytest.approx(table, abs=5.01e-4)
 
 
 def test_albedo_along_the_normal():
-    """The bounded weight 2 cos_i / (1 + cos_i) is 1 - tan^2 h there, and tan^2 h = alpha^2 t with t of density exp(-t), up to 1 / alpha^2."""
+    """The bounded weight 2 cos_i / (1 + cos_i) is 1 - tan^2 h there.
+
+    tan^2 h = alpha^2 t with t of density exp(-t), up to 1 / alpha^2.
+    """
     for alpha in (0.05, 0.3, 0.6):
         end = 1 / alpha**2
         exact = (1 - np.exp(-end)) - alpha**2 * (1 - (1 + end) * np.exp(-end))
@@ -57,7 +66,10 @@ def test_albedo_along_the_normal():
 
 
 def test_radiance(root):
-    """Radiance renders the bounded form: to 1e-5 in the lobe; in its far tails, where the exponent is large, the exponent to 4e-6."""
+    """Radiance renders the bounded form: to 1e-5 in the lobe.
+
+    In its far tails, where the exponent is large, the exponent agrees to 4e-6.
+    """
     with open(root / "data/brdf-ward-radiance/ward_brdf_radiance.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 45
@@ -83,7 +95,7 @@ def test_the_lobe_follows_the_tangent():
     assert ward.values(kernels.BOUNDED, 0.5, 0.1, along, up) > 100 * ward.values(kernels.BOUNDED, 0.5, 0.1, across, up)
 
 
-# -- by law
+# ---- by law ----
 
 
 @pytest.mark.parametrize("form", range(3))
@@ -109,7 +121,7 @@ def test_the_bounded_form_never_gains_energy():
 @pytest.mark.parametrize("theta,phi", EYES)
 @pytest.mark.parametrize("ax,ay", ALPHAS)
 def test_the_density_is_that_of_the_samples(ax, ay, theta, phi):
-    """Counts of samples in cells of the half vector's slopes, above the horizon, against the density integrated over them."""
+    """Counts of samples in cells of the half vector's slopes, above the horizon, against the integrated density."""
     n = 100_000
     rng = np.random.default_rng(3)
     o = direction(theta, phi)
@@ -201,7 +213,7 @@ def test_turning_everything_turns_nothing():
     )
 
 
-# -- by difference
+# ---- by difference ----
 
 
 @pytest.mark.parametrize("form", range(3))
@@ -214,11 +226,9 @@ def test_derivatives(form, step):
         some = i[:, 2] > 0.01
         i, eye = i[some], o[some]
 
-        def log_f(a, b, phi=0.0):
+        def log_f(a, b, phi=0.0, pair=(i, eye)):
             c, s = np.cos(phi), np.sin(phi)
-            turned = [
-                np.stack([c * w[:, 0] + s * w[:, 1], c * w[:, 1] - s * w[:, 0], w[:, 2]], axis=1) for w in (i, eye)
-            ]
+            turned = [np.stack([c * w[:, 0] + s * w[:, 1], c * w[:, 1] - s * w[:, 0], w[:, 2]], axis=1) for w in pair]
             return np.log(ward.values(form, a, b, *turned))
 
         exact = ward.d_log_values(form, ax, ay, i, eye)
@@ -250,7 +260,7 @@ def test_frames():
             assert np.array([x, y, n]) @ np.array([x, y, n]).T == pytest.approx(np.eye(3), abs=1e-9)
 
 
-# -- at the edge
+# ---- at the edge ----
 
 
 @pytest.mark.parametrize("form", range(3))

@@ -4,12 +4,18 @@ import numpy as np
 
 from lib.core.compiled import njit, prange
 from lib.light.form_factors_kernels import DROPPED
+from lib.light.surface_kernels import SurfaceArrays
 
 
 @njit(parallel=True)
-def quadrants(rays, n, hit, light, side, middle, origin, axes, out, noise):
-    """Mean light arriving at each quadrant of each patch from its rays, (N, 4) NaN where no ray starts, and the
-    variance of that mean. middle : (N, 2) of the cell, facet coordinates; light : (N,) radiosity."""
+def quadrants(rays, n, hit, light, side, middle, surface: SurfaceArrays):
+    """Mean light that arrives at each quadrant of each patch, (N, 4), NaN where no ray starts, and its variance (N, 4).
+
+    rays : (N * n, 6), n of each patch;  hit : (N * n,) the patch that each meets;  light : (N,) radiosity
+    side : (N,);  middle : (N, 2) of the patches' cells, facet coordinates
+    """
+    origin, axes = surface.origin, surface.axes
+    out, noise = np.full((len(side), 4), np.nan), np.full((len(side), 4), np.nan)
     for i in prange(len(side)):
         f = side[i] >> 1
         total, square, count = np.zeros(4), np.zeros(4), np.zeros(4)
@@ -30,3 +36,4 @@ def quadrants(rays, n, hit, light, side, middle, origin, axes, out, noise):
             if count[q] > 0:
                 out[i, q] = total[q] / count[q]
                 noise[i, q] = max(square[q] / count[q] - out[i, q] ** 2, 0.0) / count[q]
+    return out, noise

@@ -22,9 +22,9 @@ def stored(F):
 
 
 def times(matrices, X, channel=None):
-    """Each column of X (n, K) times the matrix of its channel (K,): (rows, K). 0 where there is no matrix.
+    """Each column of X (n, K) times the matrix of its channel: (rows, K), or the number 0 where there is no matrix.
 
-    matrices : list of one matrix or of one for each channel, None or 0 for nothing;  channel : default 0, 1, ... K - 1
+    matrices : [one for all channels], or one for each, 0 for nothing; or None;  channel : (K,), by default 0 ... K - 1
     """
     if matrices is None:
         return 0
@@ -41,7 +41,7 @@ def times(matrices, X, channel=None):
 
 
 class Reflected(NamedTuple):
-    """b : (N, K) float32, what the patches reflect;  residual : relative, the largest of a column"""
+    """b : (N, K) float32, what the patches reflect;  residual : relative, the largest of all columns"""
 
     b: np.ndarray
     residual: float
@@ -90,8 +90,11 @@ class Balance:
 
 @dataclass(frozen=True)
 class Patches:
-    """What the balance must know of the patches (N,). group : numbers;  area : local;  exposed : share outside solids
-    front : bool, the patch lies on the front of its facet;  reach : share of its light that meets something at once"""
+    """What the balance must know of the patches, all (N,).
+
+    group : numbers;  area : local;  exposed : share outside solids;  front : bool, on the front of the facet
+    reach : share of the patch's light that meets something at once
+    """
 
     group: np.ndarray
     area: np.ndarray

@@ -1,8 +1,8 @@
 """Patches: the leaves of a quadtree over the bounding rectangle of each lit side of each facet (section 3.3).
 
-A facet has two *sides*, side = 2 * facet + (0 front, 1 back), each with its own radiosity. A side is meshed only if light can
-reach it: not the inside of a solid, and not a side from which nothing at all is seen. Leaves are clipped by the facet, so areas
-are exact for any polygon. One look into the side's table of finest cells locates a hit.
+A facet has two *sides*, side = 2 * facet + (0 front, 1 back), each with its own radiosity. A side is meshed only if
+light can reach it: not the inside of a solid, and not a side from which nothing at all is seen. Leaves are clipped by
+the facet, so areas are exact for any polygon. One look into the side's table of finest cells locates a hit.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lib.light import cells_kernels as kernels
+from lib.light.cells_kernels import PatchPieces, PatchTable
 from lib.light.surface import Surface
 
 
@@ -33,11 +34,22 @@ class Mesh:
     def __len__(self):
         return len(self.side)
 
+    @property
+    def table(self) -> PatchTable:
+        """For kernels: which patch is where."""
+        return PatchTable(self.table_start, self.table_shape, self.leaf)
+
+    @property
+    def pieces(self) -> PatchPieces:
+        """For kernels: the triangles of each patch."""
+        return PatchPieces(self.side, self.tri_start, self.tri_uv, self.tri_cdf)
+
 
 class Tree:
     """Leaves under construction: side, level, integer cell position at that level, and the root grid per side."""
 
     def __init__(self, surface: Surface, sides, coarse):
+        """sides : (n,) int, those that are cut;  coarse : local, a root cell is no wider"""
         self.surface = surface
         corners, facet = surface.corners, surface.facet
         relative = corners - surface.origin[facet][:, None, :]
@@ -47,15 +59,14 @@ class Tree:
         root = np.maximum(1, np.ceil(surface.size / coarse - 1e-9)).astype(np.int64)  # (F, 2)
         self.root = np.repeat(root, 2, axis=0)  # per side
         side = np.repeat(sides, self.root[sides].prod(axis=1))
-        index = (
-            np.concatenate([np.arange(n) for n in self.root[sides].prod(axis=1)]) if len(sides) else np.zeros(0, int)
-        )
+        each = [np.arange(n) for n in self.root[sides].prod(axis=1)]
+        index = np.concatenate(each) if each else np.zeros(0, int)
         nv = self.root[side, 1]
         self.leaves = np.stack([side, np.zeros_like(side), index // nv, index % nv], axis=1)  # side, level, iu, iv
         self._prune()
 
     def cells(self, leaves=None):
-        """(n, 5) facet, u0, v0, u1, v1."""
+        """(n, 5) facet, u0, v0, u1, v1 of leaves (n, 4), by default the tree's."""
         leaves = self.leaves if leaves is None else leaves
         side, level, iu, iv = leaves.T
         count = self.root[side] * (1 << level)[:, None]
@@ -65,6 +76,7 @@ class Tree:
         )
 
     def cut(self, leaves=None):
+        """See `cut_cells`."""
         return kernels.cut_cells(self.cells(leaves), self.uv, self.start, self.order, 1e-9)
 
     def _prune(self):
@@ -72,23 +84,21 @@ class Tree:
         self.leaves = self.leaves[np.diff(start) > 0]
 
     def split(self, flags):
-        parent = self.leaves[flags]
-        children = []
-        for du in (0, 1):
-            for dv in (0, 1):
-                children.append(
-                    np.stack([parent[:, 0], parent[:, 1] + 1, 2 * parent[:, 2] + du, 2 * parent[:, 3] + dv], axis=1)
-                )
-        children = np.concatenate(children)
+        """Replace leaves by their four quadrants.  flags : (n,) bool"""
+        side, level, iu, iv = self.leaves[flags].T
+        quadrants = [(du, dv) for du in (0, 1) for dv in (0, 1)]
+        children = np.concatenate(
+            [np.stack([side, level + 1, 2 * iu + du, 2 * iv + dv], axis=1) for du, dv in quadrants]
+        )
         children = children[np.diff(self.cut(children)[0]) > 0]
         self.leaves = np.concatenate([self.leaves[~flags], children])
 
     def sort(self):
-        self.leaves = self.leaves[
-            np.lexsort((self.leaves[:, 3], self.leaves[:, 2], self.leaves[:, 1], self.leaves[:, 0]))
-        ]
+        """By side, level and place."""
+        self.leaves = self.leaves[np.lexsort(self.leaves.T[::-1])]
 
     def mesh(self) -> Mesh:
+        """The leaves as patches, in their order."""
         surface, leaves = self.surface, self.leaves
         start, pieces, cdf, area = self.cut(leaves)
         side, level = leaves[:, 0], leaves[:, 1]

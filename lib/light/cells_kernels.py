@@ -1,10 +1,32 @@
 """Compiled: cells clipped by their facet, the table of finest cells, points in a patch."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from lib.core.compiled import njit
+from lib.core.compiled import njit, prange
+from lib.light.sampling_kernels import scrambled
+from lib.light.surface_kernels import SurfaceArrays
 
-# -- cutting
+
+class PatchTable(NamedTuple):
+    """Which patch is where: the finest cells of each side; see Mesh."""
+
+    start: np.ndarray  # (2 F,) int64 into leaf; -1: the side has no patches
+    shape: np.ndarray  # (2 F, 2) int32
+    leaf: np.ndarray  # (...,) int32
+
+
+class PatchPieces(NamedTuple):
+    """The triangles of each patch; see Mesh."""
+
+    side: np.ndarray  # (N,) int32
+    start: np.ndarray  # (N + 1,) into uv, cdf
+    uv: np.ndarray  # (K, 3, 2)
+    cdf: np.ndarray  # (K,)
+
+
+# ---- cutting ----
 
 
 @njit()
@@ -30,7 +52,13 @@ def clip(poly, n, axis, value, keep_greater, out):
 
 @njit()
 def cut_cells(cells, uv, facet_start, facet_order, keep_below):
-    """Clip each cell (facet, u0, v0, u1, v1) by its facet's triangles -> pieces as triangles, per-cell area."""
+    """Clip each cell (facet, u0, v0, u1, v1) by its facet's triangles.
+
+    uv : (T, 3, 2) triangles in facet coordinates;  facet_order : (T,) the triangles facet by facet
+    facet_start : (F + 1,) into facet_order;  keep_below : pieces smaller than this share of their cell are left out
+    Returns where each cell's pieces begin (n + 1,), pieces (K, 3, 2), their cumulated share of the cell (K,), and
+    areas (n,).
+    """
     n = len(cells)
     start = np.zeros(n + 1, np.int64)
     area = np.zeros(n)
@@ -91,6 +119,10 @@ def cut_cells(cells, uv, facet_start, facet_order, keep_below):
 
 @njit()
 def leaf_table(leaves, finest, shape, start, total):
+    """(total,) int32: the leaf on each finest cell of each side, -1 where there is none.
+
+    leaves : (n, 4) side, level, iu, iv;  finest, start : (2 F,) level and place of each side;  shape : (2 F, 2)
+    """
     leaf = np.full(total, -1, np.int32)
     for i in range(len(leaves)):
         side, level, iu, iv = leaves[i, 0], leaves[i, 1], leaves[i, 2], leaves[i, 3]
@@ -101,16 +133,51 @@ def leaf_table(leaves, finest, shape, start, total):
     return leaf
 
 
+# ---- places ----
+
+
 @njit(inline="always")
-def in_patch(i, u, v, tri_start, tri_uv, tri_cdf):
+def in_patch(i, u, v, pieces: PatchPieces):
     """A point of patch i, in facet coordinates, uniform for uniform (u, v)."""
-    a, b = tri_start[i], tri_start[i + 1]
+    a, b = pieces.start[i], pieces.start[i + 1]
     s = a
-    while s < b - 1 and tri_cdf[s] <= u:
+    while s < b - 1 and pieces.cdf[s] <= u:
         s += 1
-    low = tri_cdf[s - 1] if s > a else 0.0
-    u = min(max((u - low) / (tri_cdf[s] - low), 0.0), 1.0)
+    low = pieces.cdf[s - 1] if s > a else 0.0
+    u = min(max((u - low) / (pieces.cdf[s] - low), 0.0), 1.0)
     r = np.sqrt(u)
     w0, w1, w2 = 1 - r, r * (1 - v), r * v
-    t = tri_uv[s]
+    t = pieces.uv[s]
     return w0 * t[0, 0] + w1 * t[1, 0] + w2 * t[2, 0], w0 * t[0, 1] + w1 * t[1, 1] + w2 * t[2, 1]
+
+
+@njit(parallel=True)
+def patch_points(n, points, shift, pieces: PatchPieces, surface: SurfaceArrays):
+    """(N * n, 3) local: n points of each patch.  points : (n, 4), shift : (N, 4) uint32"""
+    origin, axes = surface.origin, surface.axes
+    out = np.empty((len(pieces.side) * n, 3))
+    for i in prange(len(pieces.side)):
+        f = pieces.side[i] >> 1
+        for k in range(n):
+            u, v = in_patch(i, scrambled(points[k, 0], shift[i, 0]), scrambled(points[k, 1], shift[i, 1]), pieces)
+            for d in range(3):
+                out[i * n + k, d] = origin[f, d] + u * axes[f, 0, d] + v * axes[f, 1, d]
+    return out
+
+
+@njit(inline="always")
+def patch_under(u, v, s, size, start, shape, leaf):
+    """The patch of side s under facet coordinates (u, v), -1 where there is none.
+
+    size : (2,) of the facet's rectangle;  start, shape, leaf : of a PatchTable
+    """
+    nu, nv = shape[s, 0], shape[s, 1]
+    a = min(max(int(u / size[0] * nu), 0), nu - 1)
+    b = min(max(int(v / size[1] * nv), 0), nv - 1)
+    patch = leaf[start[s] + a * nv + b]
+    if patch < 0:  # beyond a slanted border by rounding: the next cell inside
+        for da in range(-1, 2):
+            for db in range(-1, 2):
+                if patch < 0 and 0 <= a + da < nu and 0 <= b + db < nv:
+                    patch = leaf[start[s] + (a + da) * nv + b + db]
+    return patch

@@ -16,7 +16,8 @@ DIFFUSE, MIRROR, GLOSSY = 0, 1, 2
 class Finish:
     """How facets reflect beyond rho_d. M specular groups.
 
-    groups : (M,) numbers of the groups;  kind : (M,) MIRROR or GLOSSY;  alpha : (M, 2);  tangent : (M, 3) of alpha_x, model's frame
+    groups : (M,) numbers of the groups;  kind : (M,) MIRROR or GLOSSY;  alpha : (M, 2) Ward's
+    tangent : (M, 3) direction of alpha_x, model's frame;  form : of lib/light/ward.py
     """
 
     groups: tuple
@@ -48,7 +49,7 @@ class Finish:
         )
 
     def facets(self, surface: Surface):
-        """Per facet: number of its specular group, -1 (F,) int32, and the tangent frame in its plane (F, 2, 3)."""
+        """The number of each facet's specular group, -1, (F,) int32, and the tangent frame in its plane (F, 2, 3)."""
         number = np.full(len(surface.groups), -1, np.int32)
         number[list(self.groups)] = np.arange(len(self.groups))
         of = number[surface.group]
@@ -83,6 +84,7 @@ class Chains:
         return table[pair]
 
     def number(self, count):
+        """Of a tuple of M counts; a new one where it has none."""
         if count not in self._number:
             self._number[count] = len(self.count)
             self.count.append(count)
@@ -90,7 +92,7 @@ class Chains:
 
     def joined(self, a, b):
         """Number of the chain that is a and then b."""
-        return self.number(tuple(x + y for x, y in zip(self.count[a], self.count[b])))
+        return self.number(tuple(x + y for x, y in zip(self.count[a], self.count[b], strict=True)))
 
     @property
     def counts(self):
@@ -102,7 +104,10 @@ class Chains:
         return np.prod(rho_s[None] ** self.counts[:, :, None], axis=1)
 
     def total(self, rho_s, F, D, b, E):
-        """What ways by chain, F (R, N) and D (R, L), bring of the light b (N, C) and E (L, C): (R, C), or 0 where there are none."""
+        """(R, C): what specular ways bring of the light b (N, C) and E (L, C); the number 0 where there are none.
+
+        F, D : {chain: (R, N)}, {chain: (R, L)}
+        """
         power = self.power(rho_s)
         return sum(power[k] * (A @ light) for parts, light in ((F, b), (D, E)) for k, A in parts.items())
 

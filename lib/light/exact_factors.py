@@ -17,7 +17,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from lib.given import rays
 from lib.light import exact_factors_kernels as kernels
+from lib.light.form_factors import FormFactorRows
+from lib.light.lamps_kernels import polygon_factor
 
 
 class NotExact(ValueError):
@@ -25,7 +28,7 @@ class NotExact(ValueError):
 
 
 def _newell(corners):
-    """Area vector, relative to the first corner so that nothing cancels far from the origin."""
+    """Area vector of a polygon (n, 3), taken relative to its first corner: nothing cancels far from the origin."""
     v = corners - corners[0]
     return 0.5 * np.cross(v[:-1], v[1:]).sum(axis=0)
 
@@ -62,8 +65,6 @@ def point_to_polygon(p, n, Q) -> float:
     >>> round(abs(point_to_polygon([0, 0, 0], [0, 0, 1], square)), 14)
     0.23945647046077
     """
-    from lib.light.lamps_kernels import polygon_factor
-
     Q, p, n = _corners(Q), np.asarray(p, float), np.asarray(n, float)
     if not np.isfinite(p).all() or not np.linalg.norm(n) > 0:
         raise ValueError("the element needs a place and a direction")
@@ -77,7 +78,7 @@ def _corners(P):
     return P
 
 
-# -- all patches of a mesh
+# ---- all patches of a mesh ----
 
 
 def outlines(surface, mesh):
@@ -106,9 +107,18 @@ def _outline(pieces, near):
     points = pieces.reshape(-1, 2)
     same = {}
     name = [same.setdefault(tuple(key), len(same)) for key in np.round(points / near / 8).astype(np.int64)]
-    place = dict(zip(name, points))
+    place = dict(zip(name, points, strict=True))
+    loops = [_straighten(np.array([place[k] for k in loop]), near) for loop in _closed(_border(name))]
+    return [loop for loop in loops if len(loop) >= 3]
+
+
+def _border(name):
+    """{(a, b): how often} of the directed edges of triangles whose reverse does not occur.
+
+    name : [number of each corner], three to a triangle
+    """
     edges = {}
-    for a, b, c in zip(*[iter(name)] * 3):
+    for a, b, c in zip(name[0::3], name[1::3], name[2::3], strict=True):
         for e in ((a, b), (b, c), (c, a)):
             if e[0] == e[1]:
                 continue
@@ -116,6 +126,11 @@ def _outline(pieces, near):
                 edges[e[::-1]] -= 1
             else:
                 edges[e] = edges.get(e, 0) + 1
+    return edges
+
+
+def _closed(edges):
+    """Directed edges joined to loops: [[corner, ...]]"""
     following = {}
     for (a, b), count in edges.items():
         for _ in range(count):
@@ -132,8 +147,8 @@ def _outline(pieces, near):
             here = there
             if here == first:
                 break
-        loops.append(_straighten(np.array([place[k] for k in loop]), near))
-    return [loop for loop in loops if len(loop) >= 3]
+        loops.append(loop)
+    return loops
 
 
 def _straighten(loop, near):
@@ -147,25 +162,19 @@ def _straighten(loop, near):
         a, b, c = loop[others[k - 1]], loop[i], loop[others[(k + 1) % len(others)]]
         d = c - a
         length = np.hypot(*d)
-        if (
-            length > 0
-            and abs(d[0] * (b - a)[1] - d[1] * (b - a)[0]) < near * length
-            and (b - a) @ d >= 0
-            and (c - b) @ d >= 0
-        ):
+        near_line = length > 0 and abs(d[0] * (b - a)[1] - d[1] * (b - a)[0]) < near * length
+        if near_line and (b - a) @ d >= 0 and (c - b) @ d >= 0:
             keep[i] = False
     return loop[keep]
 
 
 def factors(surface, mesh) -> np.ndarray:
-    """F (N, N) float64 between all patches, and exact. Raises NotExact, a ValueError of one line, where it would not be."""
-    from lib.given import rays
-
+    """F (N, N) float64 between all patches, exact. Raises NotExact, in one line, where it would not be."""
     standing = np.flatnonzero(rays.occluders(surface.corners, surface.facet))
     if len(standing):
         raise NotExact(
-            f"analytic form factors: {len(standing)} facets can stand between two others (the first is facet {standing[0]} "
-            f"of group '{surface.groups[surface.group[standing[0]]]}'); use rays"
+            f"analytic form factors: {len(standing)} facets can stand between two others (the first is facet "
+            f"{standing[0]} of group '{surface.groups[surface.group[standing[0]]]}'); use rays"
         )
     corners, loop_start, patch_start = outlines(surface, mesh)
     f = mesh.side // 2
@@ -184,22 +193,20 @@ def factors(surface, mesh) -> np.ndarray:
     return F
 
 
-def rows(surface, mesh, progress=None):
-    """The same as form_factors.FormFactorRows: as if each patch had two rays, and both halves of them agreed."""
-    from lib.light.form_factors import FormFactorRows
-
+def rows(surface, mesh) -> FormFactorRows:
+    """`factors` as rows: as if each patch had two rays, and both halves of them agreed."""
     F = factors(surface, mesh)
     at = np.nonzero(F)
     count = F[at].astype(np.float32)
     one = np.ones(len(F), np.float32)
     return FormFactorRows(
-        np.concatenate([[0], np.cumsum((F > 0).sum(axis=1))]).astype(np.int64),
-        at[1].astype(np.int32),
-        2 * count,
-        count,
-        2 * one,
-        one,
-        np.full(len(F), 2),
-        0 * one,
-        len(F),
+        indptr=np.concatenate([[0], np.cumsum((F > 0).sum(axis=1))]).astype(np.int64),
+        indices=at[1].astype(np.int32),
+        count=2 * count,
+        half=count,
+        valid=2 * one,
+        valid_half=one,
+        shot=np.full(len(F), 2),
+        lost=0 * one,
+        columns=len(F),
     )

@@ -7,7 +7,7 @@ from lib.core.compiled import njit, prange
 FLAT = 1e-9  # of a polygon's size: nearer to the other's plane is on it
 
 
-# -- quadrature on [0, 1]
+# ---- quadrature on [0, 1] ----
 
 
 def _gauss(n):
@@ -170,6 +170,11 @@ def contours(P, n_p, o_p, Q, n_q, o_q, size):
 
 @njit(parallel=True)
 def all_pairs(corners, loop_start, patch_start, normal, origin, area, centre, radius):
+    """(N, N) factors between all patches.
+
+    corners : (K, 3);  loop_start : (L + 1,) into corners;  patch_start : (N + 1,) into the loops
+    normal, origin, centre : (N, 3);  area, radius : (N,), radius of the sphere about the centre that holds the patch
+    """
     n = len(area)
     AF = np.zeros((n, n))
     for k in prange(n):

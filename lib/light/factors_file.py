@@ -11,8 +11,6 @@ from lib.core.stage import BadInput
 from lib.light.cells import Mesh
 from lib.light.form_factors import FormFactorRows
 
-# -- formfactors.npz
-
 
 @dataclass(frozen=True)
 class FormFactors:
@@ -35,12 +33,11 @@ class FormFactors:
     def subcell(self, share=1 / 3):
         """(N, N) CSR: b -> b + share * (b - mean of b over the patch and its siblings), for the *sources* of a balance.
 
-        A patch of constant radiosity lets its bright and its dark part be seen alike by those who see only one of
-        them. What is lost that way inside a cell is a fixed share of what the step to the next coarser cell would
-        lose: (h^2 / 12) / (h^2 / 4) = 1/3 where light varies linearly, 1 across a random edge. Row by row this is
-        Richardson's extrapolation in the size of the patches, linear and conserving the light of each parent; on
-        the shipped scenes it halves the error three times over (0.43 % -> 0.13 % for `office`, 1.06 % -> 0.12 %
-        for `gallery-white` together with a finer mesh) at no cost.
+        A patch of constant radiosity shows its bright and its dark part alike to those who see only one of them. What
+        is lost that way inside a cell is a fixed share of what the step to the next coarser cell would lose:
+        (h^2 / 12) / (h^2 / 4) = 1/3 where light varies linearly, 1 across a random edge. Row by row this is
+        Richardson's extrapolation in the size of the patches. It is linear, and each parent keeps its light
+        (docs/design.md, Sub-cell correction).
         """
         from scipy.sparse import csr_array, diags_array, eye_array
 
@@ -52,6 +49,7 @@ class FormFactors:
 
 
 def write(path, factors: FormFactors):
+    """Whole or absent."""
     arrays = {f"mesh_{f.name}": getattr(factors.mesh, f.name) for f in fields(Mesh)}
     arrays |= {f"rows_{f.name}": getattr(factors.rows, f.name) for f in fields(FormFactorRows)}
     artefact.write_npz(

@@ -1,12 +1,11 @@
 """Form factors (eq. 3.3): the fraction F[i, j] of the light leaving patch i that reaches patch j.
 
-Rows by rays: points spread over the patch and cosine-distributed directions together form one
-four-dimensional low-discrepancy set, so a row's sum is 1 in a closed scene before any normalisation and an
-error in one factor is compensated in its neighbour. Lamps are small and bright and therefore treated apart:
-the exact factor of the lamp's polygon from a point (Lambert's contour formula) times its visible share.
+Rows by rays: points spread over the patch and cosine-distributed directions together form one four-dimensional
+low-discrepancy set. So a row's sum is 1 in a closed scene before any normalisation, and an error in one factor is
+compensated in its neighbour. Lamps are small and bright: lamps.py treats them apart.
 
-A ray that starts inside a solid (it meets the solid's inner side first) is dropped, and the row is divided by
-the rays that remain: a wall behind a cabinet is not darkened by the inside of the cabinet (DESIGN 7, trap 3).
+A ray that starts inside a solid is dropped, and the row is divided by the rays that remain: a wall behind a cabinet is
+not darkened by the inside of the cabinet (docs/design.md, Patches inside solids).
 """
 
 from __future__ import annotations
@@ -83,23 +82,27 @@ class FormFactorRows:
 
 
 def trace(surface: Surface, mesh: Mesh, rays):
-    triangle, distance = surface.caster.closest(rays)
-    hit = kernels.locate(
-        rays,
-        triangle,
-        distance,
-        surface.facet,
-        surface.normal,
-        surface.origin,
-        surface.axes,
-        surface.size,
-        surface.inside,
-        mesh.table_start,
-        mesh.table_shape,
-        mesh.leaf,
-    )
+    """The patch that each ray (n, 6) arrives at, (n,) int32, see `located`."""
+    return located(surface, mesh, rays, *surface.caster.closest(rays))
+
+
+def located(surface: Surface, mesh: Mesh, rays, triangle, distance):
+    """(n,) int32: the patch on which each ray ends, or kernels.ESCAPED, DROPPED (it starts in a solid) or LOST.
+
+    rays : (n, 6) float32;  triangle, distance : (n,) their ends, as Caster.closest tells them
+    """
+    hit = kernels.locate(rays, triangle, distance, surface.arrays, mesh.table)
     hit[buried(surface, rays, triangle)] = kernels.DROPPED
-    return hit, distance
+    return hit
+
+
+def chunks(ray_start):
+    """Ranges (first, last) of elements with about CHUNK rays in each; at least one element.  ray_start : (M + 1,)"""
+    first, m = 0, len(ray_start) - 1
+    while first < m:
+        last = max(first + 1, int(np.searchsorted(ray_start, ray_start[first] + CHUNK, "right")) - 1)
+        yield first, last
+        first = last
 
 
 def _rows(surface, mesh, ray_start, make, progress=None) -> FormFactorRows:
@@ -108,13 +111,10 @@ def _rows(surface, mesh, ray_start, make, progress=None) -> FormFactorRows:
     if m == 0:
         return counted(np.zeros(0, np.int32), np.zeros(1, np.int64), 0, 0, len(mesh))
     parts = []
-    first = 0
-    while first < m:
-        last = max(first + 1, int(np.searchsorted(ray_start, ray_start[first] + CHUNK, "right")) - 1)
-        parts.append(counted(trace(surface, mesh, make(first, last))[0], ray_start, first, last, len(mesh)))
+    for first, last in chunks(ray_start):
+        parts.append(counted(trace(surface, mesh, make(first, last)), ray_start, first, last, len(mesh)))
         if progress is not None:
             progress(last / m)
-        first = last
     if len(parts) == 1:
         return parts[0]
     join = {
@@ -129,7 +129,10 @@ def _rows(surface, mesh, ray_start, make, progress=None) -> FormFactorRows:
 
 
 def counted(hit, ray_start, first, last, columns) -> FormFactorRows:
-    """Rows of the elements first..last-1 from the patch that each of their rays met."""
+    """Rows of the elements first..last-1 from the patch that each of their rays met.
+
+    hit : int32, of these elements' rays;  ray_start : (M + 1,) of all elements;  columns : N
+    """
     keys, entries, valid, valid_half, lost = kernels.compress(hit, ray_start, first, last)
     indptr = np.concatenate([[0], np.cumsum(entries)])
     indices, count, half = kernels.fill(keys, ray_start, first, last, indptr)
@@ -139,45 +142,38 @@ def counted(hit, ray_start, first, last, columns) -> FormFactorRows:
 
 
 def rays(surface: Surface, mesh: Mesh, *, n_rays, seed=0, progress=None) -> FormFactorRows:
-    """F between all patches from `n_rays` rays per patch (a power of two spreads best). Error about 0.5 / n_rays^0.75
-    of a row's irradiance, measured by `make bench`."""
+    """F between all patches from `n_rays` rays per patch (a power of two spreads best).
+
+    Error about 0.5 / n_rays^0.75 of a row's irradiance, measured by `make bench`.
+    progress : called with the share done
+    """
     return _rows(surface, mesh, *from_patches(surface, mesh, n_rays, seed), progress)
 
 
 def from_patches(surface: Surface, mesh: Mesh, n_rays, seed=0):
     """Where each patch's rays begin, (N + 1,), and make(first, last) -> rays of the patches first..last-1, (n, 6)."""
     points, shift = sobol(n_rays), shifts(len(mesh), n_rays, seed)
-    return np.arange(len(mesh) + 1, dtype=np.int64) * n_rays, lambda a, b: kernels.patch_rays(
-        a,
-        b,
-        n_rays,
-        points,
-        shift,
-        mesh.side,
-        mesh.tri_start,
-        mesh.tri_uv,
-        mesh.tri_cdf,
-        surface.origin,
-        surface.axes,
-        surface.normal,
-    )
+    pieces, arrays = mesh.pieces, surface.arrays
+    make = lambda first, last: kernels.patch_rays(first, last, n_rays, points, shift, pieces, arrays)
+    return np.arange(len(mesh) + 1, dtype=np.int64) * n_rays, make
 
 
 def gather(surface: Surface, mesh: Mesh, points, point_start, side, n_rays, *, seed=0, progress=None) -> FormFactorRows:
     """F from sets of points (pixels) to all patches.
 
     points : (M, 3) local;  point_start : (K + 1,) the points of each set;  side : (K,) side of the facet they lie on
-    n_rays : (K,) rays of each set, spread over its points
+    n_rays : (K,) rays of each set, spread over its points;  progress : called with the share done
     """
     return _rows(surface, mesh, *from_points(surface, points, point_start, side, n_rays, seed), progress)
 
 
 def from_points(surface: Surface, points, point_start, side, n_rays, seed=0):
-    """The same of sets of points: see `gather`."""
+    """`from_patches` for sets of points: see `gather`."""
     ray_start = np.concatenate([[0], np.cumsum(n_rays)]).astype(np.int64)
     most = int(np.max(n_rays, initial=1))
     sequence, shift, other = sobol(most), shifts(len(side), most, seed), shifts(len(side), most, seed + 1)
-    points, point_start, side = np.asarray(points, float), np.asarray(point_start, np.int64), np.asarray(side, np.int32)
-    return ray_start, lambda a, b: kernels.point_rays(
-        ray_start, a, b, sequence, shift, other, point_start, points, side, surface.axes, surface.normal
+    sets = kernels.PointSets(
+        ray_start, np.asarray(point_start, np.int64), np.asarray(points, float), np.asarray(side, np.int32)
     )
+    arrays = surface.arrays
+    return ray_start, lambda first, last: kernels.point_rays(first, last, sets, sequence, shift, other, arrays)

@@ -1,94 +1,87 @@
 """Compiled: rays from patches and points, where they arrive, and how often."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit, prange
 from lib.given.rays_kernels import OFFSET
-from lib.light.cells_kernels import in_patch
+from lib.light.cells_kernels import PatchPieces, PatchTable, in_patch, patch_under
+from lib.light.sampling_kernels import cosine, scrambled
+from lib.light.surface_kernels import SurfaceArrays
 
-ESCAPED, DROPPED, LOST = -1, -2, -3
+ESCAPED, DROPPED, LOST = -1, -2, -3  # where a ray arrives that meets no patch
 
 
-# -- ray generation
-
-
-@njit(inline="always")
-def cosine(u, v, n, x, y, out, k):
-    r = np.sqrt(u)
-    phi = 2 * np.pi * v
-    a, b, c = r * np.cos(phi), r * np.sin(phi), np.sqrt(max(0.0, 1 - u))
-    for d in range(3):
-        out[k, 3 + d] = a * x[d] + b * y[d] + c * n[d]
+# ---- ray generation ----
 
 
 @njit(parallel=True)
-def patch_rays(first, last, n, points, shift, side, tri_start, tri_uv, tri_cdf, origin, axes, normal):
+def patch_rays(first, last, n, points, shift, pieces: PatchPieces, surface: SurfaceArrays):
+    """n rays of each of the patches first..last-1, ((last - first) * n, 6) float32.
+
+    points : (n, 4), shift : (N, 4) uint32
+    """
+    origin, axes, normal = surface.origin, surface.axes, surface.normal
     out = np.empty(((last - first) * n, 6), np.float32)
     for i in prange(first, last):
-        f = side[i] >> 1
-        sign = 1.0 - 2.0 * (side[i] & 1)
+        f = pieces.side[i] >> 1
+        sign = 1.0 - 2.0 * (pieces.side[i] & 1)
         nrm = normal[f] * sign
         h0, h1, h2, h3 = shift[i]
         for k in range(n):
-            u, v = in_patch(
-                i,
-                ((points[k, 0] ^ h0) + 0.5) / 4294967296.0,
-                ((points[k, 1] ^ h1) + 0.5) / 4294967296.0,
-                tri_start,
-                tri_uv,
-                tri_cdf,
-            )
+            u, v = in_patch(i, scrambled(points[k, 0], h0), scrambled(points[k, 1], h1), pieces)
             row = (i - first) * n + k
             for d in range(3):
                 out[row, d] = origin[f, d] + u * axes[f, 0, d] + v * axes[f, 1, d] + OFFSET * nrm[d]
-            cosine(
-                ((points[k, 2] ^ h2) + 0.5) / 4294967296.0,
-                ((points[k, 3] ^ h3) + 0.5) / 4294967296.0,
-                nrm,
-                axes[f, 0],
-                axes[f, 1],
-                out,
-                row,
-            )
+            cosine(scrambled(points[k, 2], h2), scrambled(points[k, 3], h3), nrm, axes[f, 0], axes[f, 1], out, row)
     return out
 
 
+class PointSets(NamedTuple):
+    """Sets of points that rays start from."""
+
+    ray_start: np.ndarray  # (K + 1,) int64, the rays of each set
+    start: np.ndarray  # (K + 1,) int64 into p
+    p: np.ndarray  # (M, 3) local
+    side: np.ndarray  # (K,) int32, side of the facet that the points lie on
+
+
 @njit(parallel=True)
-def point_rays(ray_start, first, last, points, shift, other, point_start, p, side, axes, normal):
-    """Rays of the elements first..last; element i owns the points p[point_start[i]:point_start[i + 1]] (M, 3)."""
+def point_rays(first, last, sets: PointSets, points, shift, other, surface: SurfaceArrays):
+    """Rays of the sets first..last-1, (n, 6) float32.
+
+    points : (..., 4);  shift, other : (K, 4) of the first and of the second half of a set's rays, which are scrambled
+    independently so that their errors are independent, too (docs/design.md, Instruments)
+    """
+    ray_start, start, axes, normal = sets.ray_start, sets.start, surface.axes, surface.normal
     base = ray_start[first]
     out = np.empty((ray_start[last] - base, 6), np.float32)
     for i in prange(first, last):
-        f = side[i] >> 1
-        nrm = normal[f] * (1.0 - 2.0 * (side[i] & 1))
-        m = point_start[i + 1] - point_start[i]
+        f = sets.side[i] >> 1
+        nrm = normal[f] * (1.0 - 2.0 * (sets.side[i] & 1))
+        m = start[i + 1] - start[i]
         n = ray_start[i + 1] - ray_start[i]
         for j in range(n):
-            # the halves are scrambled independently: their errors are, too (reflectance.py corrects with them)
             k = j if j < (n + 1) // 2 else j - (n + 1) // 2
             h0, _, h2, h3 = shift[i] if j < (n + 1) // 2 else other[i]
-            q = point_start[i] + min(m - 1, int(((points[k, 0] ^ h0) + 0.5) / 4294967296.0 * m))
+            q = start[i] + min(m - 1, int(scrambled(points[k, 0], h0) * m))
             row = ray_start[i] - base + j
             for d in range(3):
-                out[row, d] = p[q, d] + OFFSET * nrm[d]
-            cosine(
-                ((points[k, 2] ^ h2) + 0.5) / 4294967296.0,
-                ((points[k, 3] ^ h3) + 0.5) / 4294967296.0,
-                nrm,
-                axes[f, 0],
-                axes[f, 1],
-                out,
-                row,
-            )
+                out[row, d] = sets.p[q, d] + OFFSET * nrm[d]
+            cosine(scrambled(points[k, 2], h2), scrambled(points[k, 3], h3), nrm, axes[f, 0], axes[f, 1], out, row)
     return out
 
 
-# -- binning
+# ---- binning ----
 
 
 @njit(parallel=True)
-def locate(rays, triangle, distance, facet, normal, origin, axes, size, inside, table_start, table_shape, leaf):
+def locate(rays, triangle, distance, surface: SurfaceArrays, table: PatchTable):
     """The patch each ray arrives at, (n,) int32, or ESCAPED, DROPPED, LOST."""
+    facet, normal, origin, axes = surface.facet, surface.normal, surface.origin, surface.axes
+    size, inside = surface.size, surface.inside
+    start, shape, leaf = table.start, table.shape, table.leaf
     n = len(rays)
     out = np.empty(n, np.int32)
     for k in prange(n):
@@ -98,10 +91,8 @@ def locate(rays, triangle, distance, facet, normal, origin, axes, size, inside, 
         f = facet[triangle[k]]
         along = rays[k, 3] * normal[f, 0] + rays[k, 4] * normal[f, 1] + rays[k, 5] * normal[f, 2]
         s = 2 * f + (1 if along > 0 else 0)
-        if inside[s]:
-            out[k] = DROPPED
-            continue
-        if table_start[s] < 0:  # a side that sees nothing: the ray starts in the crack of a contact
+        # a side without patches sees nothing: the ray starts in the crack of a contact
+        if inside[s] or start[s] < 0:
             out[k] = DROPPED
             continue
         u = 0.0
@@ -110,22 +101,19 @@ def locate(rays, triangle, distance, facet, normal, origin, axes, size, inside, 
             x = rays[k, d] + distance[k] * rays[k, 3 + d] - origin[f, d]
             u += x * axes[f, 0, d]
             v += x * axes[f, 1, d]
-        nu, nv = table_shape[s, 0], table_shape[s, 1]
-        a = min(max(int(u / size[f, 0] * nu), 0), nu - 1)
-        b = min(max(int(v / size[f, 1] * nv), 0), nv - 1)
-        patch = leaf[table_start[s] + a * nv + b]
-        if patch < 0:  # beyond a slanted border by rounding: the next cell inside
-            for da in range(-1, 2):
-                for db in range(-1, 2):
-                    if patch < 0 and 0 <= a + da < nu and 0 <= b + db < nv:
-                        patch = leaf[table_start[s] + (a + da) * nv + b + db]
+        patch = patch_under(u, v, s, size[f], start, shape, leaf)
         out[k] = patch if patch >= 0 else LOST
     return out
 
 
 @njit(parallel=True)
 def compress(hit, ray_start, first, last):
-    """Count equal hits per element: entries per row, valid, valid in the first half, lost; hit is sorted in place by (patch, half)."""
+    """Count equal hits of each of the elements first..last-1.
+
+    hit : patch of each of their rays;  ray_start : (M + 1,)
+    Returns 2 * patch + half of each ray, sorted within its element, and per element the entries of its row, the rays
+    that count, those of them in the first half, and the lost ones.
+    """
     m = last - first
     base = ray_start[first]
     entries = np.zeros(m, np.int64)
@@ -157,6 +145,7 @@ def compress(hit, ray_start, first, last):
 
 @njit(parallel=True)
 def fill(keys, ray_start, first, last, indptr):
+    """The rows of the elements first..last-1: indices, count and half of FormFactorRows.  keys : of `compress`"""
     base = ray_start[first]
     n = indptr[-1]
     indices = np.empty(n, np.int32)

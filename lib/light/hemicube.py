@@ -1,11 +1,12 @@
 """Form factors by hemicubes (section 3.3; Cohen and Greenberg 1985), drawn by OpenGL.
 
-Half a cube is put over the centre of each patch and the facets are drawn on its five faces through the Z-buffer.
-Every pixel stands for its delta form factor, the exact factor of its square; the patch it shows is found on the
+Half a cube is put over the centre of each patch, and the facets are drawn on its five faces through the Z-buffer.
+Every pixel stands for its delta form factor, the exact factor of its square. The patch that it shows is found on the
 facet's plane, as for index buffers, so that no cracks open between patches of unlike size.
 
 Simplest and least accurate: a patch is one point, or a few, and a factor is known to a pixel along its outline,
-|error| <= length of the outline in pixels * the largest delta form factor, 4 / (pi resolution^2). `make bench` compares.
+|error| <= length of the outline in pixels * the largest delta form factor, 4 / (pi resolution^2). `make bench`
+compares.
 """
 
 from __future__ import annotations
@@ -18,31 +19,33 @@ from lib.buffers import opengl
 from lib.given.rays import shifts, sobol
 from lib.given.rays_kernels import OFFSET
 from lib.light import hemicube_kernels as kernels
-from lib.light import lamps_kernels
+from lib.light.cells_kernels import patch_points
 from lib.light.form_factors import FormFactorRows
+from lib.light.hemicube_kernels import HemicubePixels
 from lib.light.surface import covered, side_normals
 
 NEAR, FAR = 1e-6, 4.0  # in diagonals of the model
 ATLAS_PIXELS = 1 << 22  # drawn between two readings
 
-
 _VERTEX = """
 #version 330
 in vec3 p; in float facet;
-uniform vec3 eye, right, up, forward; uniform vec2 half_face;      // clip.y = half_face.x y + half_face.y z: all, or the upper half
+uniform vec3 eye, right, up, forward;
+uniform vec2 half_face;      // clip.y = half_face.x y + half_face.y z: all, or the upper half
 flat out float f_facet;
 void main() {
     vec3 v = p - eye;
     float w = dot(forward, v), y = dot(up, v);
-    gl_Position = vec4(dot(right, v), half_face.x * y + half_face.y * w, w - 2.0 * %(near)g, w);
+    gl_Position = vec4(dot(right, v), half_face.x * y + half_face.y * w, w - 2.0 * NEAR, w);
     f_facet = facet;
-}""" % {"near": NEAR}
+}""".replace("NEAR", f"{NEAR:g}")
 # The depth that is compared is linear: 24 bits then tell a board from its wall at any distance.
 _FRAGMENT = """
 #version 330
 flat in float f_facet;
 out float result;
-void main() { result = f_facet; gl_FragDepth = clamp(1.0 / (gl_FragCoord.w * %(far)g), 0.0, 1.0); }""" % {"far": FAR}
+void main() { result = f_facet; gl_FragDepth = clamp(1.0 / (gl_FragCoord.w * FAR), 0.0, 1.0); }
+""".replace("FAR", f"{FAR:g}")
 
 
 @functools.lru_cache(maxsize=1)
@@ -51,8 +54,10 @@ def _program():
 
 
 def delta_factors(resolution):
-    """Factor from the element under the hemicube to each of its pixels: top (R, R), and one side (R // 2, R) from the
-    horizon up. Exact for the whole pixel, not the value at its centre times its area: their sum is 1.
+    """Factor from the element under the hemicube to each of its pixels.
+
+    Returns the top (R, R), and one side (R // 2, R) from the horizon up. They are exact for the whole pixel, not the
+    value at its centre times its area, so that their sum is 1.
 
     >>> top, side = delta_factors(8)
     >>> round(float(top.sum() + 4 * side.sum()), 12)
@@ -73,8 +78,8 @@ def _faces(n, x, y):
     return [(x, y, n, False), (y, n, x, True), (-x, n, y, True), (-y, n, -x, True), (x, n, -y, True)]
 
 
-def _pixels(resolution):
-    """Directions in the frame (x, y, normal) and delta factors of all pixels in the order in which the faces lie in the atlas."""
+def _pixels(resolution) -> HemicubePixels:
+    """In the order in which the faces lie in the atlas."""
     top, side = delta_factors(resolution)
     centre = (np.arange(resolution) + 0.5) * 2 / resolution - 1
     height = (np.arange(resolution // 2) + 0.5) * 2 / resolution
@@ -84,27 +89,17 @@ def _pixels(resolution):
         d = centre[None, :, None] * right + rows[:, None, None] * up + forward
         directions.append(d.reshape(-1, 3))
         delta.append((side if half else top).ravel())
-    return np.concatenate(directions), np.concatenate(delta)
+    return HemicubePixels(np.concatenate(directions), np.concatenate(delta))
 
 
 def eyes(surface, mesh, points=1):
-    """(N, points, 3) local: where the hemicubes of each patch stand, and the share of the patch that lies outside solids, (N,).
+    """(N, points, 3) local, where the hemicubes of each patch stand; (N,) the share of it that lies outside solids.
 
-    One stands on the centre; where that lies in a hole or in a solid, on the point nearest to the middle of what is
-    left. Several are spread over what lies outside solids.
+    One hemicube stands on the centre. Where the centre lies in a hole or in a solid, it stands on the point nearest to
+    the middle of what is left. Several are spread over what lies outside solids.
     """
     n = max(32, 8 * points)
-    p = lamps_kernels.patch_points(
-        n,
-        sobol(n),
-        shifts(len(mesh), n, 0),
-        mesh.side,
-        mesh.tri_start,
-        mesh.tri_uv,
-        mesh.tri_cdf,
-        surface.origin,
-        surface.axes,
-    )
+    p = patch_points(n, sobol(n), shifts(len(mesh), n, 0), mesh.pieces, surface.arrays)
     p = np.concatenate([np.asarray(mesh.centre, float)[:, None], p.reshape(-1, n, 3)], axis=1)
     normals = side_normals(surface)[mesh.side]
     up = np.broadcast_to(normals[:, None], p.shape)
@@ -154,12 +149,12 @@ class _Cubes:
         self.target = self.gl.framebuffer([self.colour], self.depth)
 
     def draw(self, eye, frames):
-        """eye (k, 3), frames (k, 3, 3) the axes x, y and the normal; k at most self.count."""
+        """(k, pixels).  eye : (k, 3);  frames : (k, 3, 3) the axes x, y and the normal;  k at most self.count"""
         gl, program, R = self.gl, self.program, self.resolution
         gl.enable_only(gl.DEPTH_TEST)
         self.target.use()
         self.target.clear(-1.0, -1.0, -1.0, -1.0, depth=1.0)
-        for k, (o, (x, y, n)) in enumerate(zip(eye, frames)):
+        for k, (o, (x, y, n)) in enumerate(zip(eye, frames, strict=True)):
             program["eye"] = tuple(o)
             for face, (right, up, forward, half) in enumerate(_faces(n, x, y)):
                 if half:
@@ -187,7 +182,7 @@ class _Cubes:
             thing.release()
 
 
-def rows(surface, mesh, *, resolution=128, points=1, progress=None) -> FormFactorRows:
+def rows(surface, mesh, *, resolution=128, points=1) -> FormFactorRows:
     """F between all patches from hemicubes `resolution` pixels wide (even), on so many points of each patch.
 
     A patch that lies wholly in a solid sees nothing. Raises opengl.NoGraphics, in one line, where there is no EGL.
@@ -196,64 +191,47 @@ def rows(surface, mesh, *, resolution=128, points=1, progress=None) -> FormFacto
         raise ValueError(f"hemicube: a resolution of {resolution} is not an even number of pixels")
     if points < 1:
         raise ValueError(f"hemicube: {points} points are too few")
-    directions, delta = _pixels(resolution)
+    pixels = _pixels(resolution)
     normals = side_normals(surface)[mesh.side]
     frames = np.concatenate([surface.axes[mesh.side // 2], normals[:, None]], axis=1)
     eye, exposed = eyes(surface, mesh, points)
     eye = eye + OFFSET * normals[:, None]
-    entries, indices, count, valid, lost = [], [], [], [], []
+    parts = []
     with _Cubes(surface, resolution) as cubes:
         step = max(1, cubes.count // points)
         for a in range(0, len(mesh), step):
-            b = min(a + step, len(mesh))
-            e, f = eye[a:b].reshape(-1, 3), np.repeat(frames[a:b], points, axis=0)
+            some = slice(a, a + step)
+            e, f = eye[some].reshape(-1, 3), np.repeat(frames[some], points, axis=0)
             shown = np.concatenate(
                 [cubes.draw(e[k : k + cubes.count], f[k : k + cubes.count]) for k in range(0, len(e), cubes.count)]
             )
-            F, inside, nowhere = kernels.binned(
-                shown,
-                e,
-                f,
-                points,
-                directions,
-                delta,
-                surface.normal,
-                surface.origin,
-                surface.axes,
-                surface.size,
-                surface.inside,
-                mesh.table_start,
-                mesh.table_shape,
-                mesh.leaf,
-                len(mesh),
-            )
-            blind = (inside > 0.5) | (
-                exposed[a:b] == 0
-            )  # a point is in a solid or it is not; the rest is rounding at its edges
-            F[blind], nowhere[blind] = 0, 0
-            inside = np.where(blind, 1, inside)
-            at = np.nonzero(F)
-            entries.append(np.bincount(at[0], minlength=b - a))
-            indices.append(at[1])
-            count.append(F[at])
-            valid.append(1 - inside)
-            lost.append(nowhere)
-            if progress is not None:
-                progress(b / len(mesh))
-    # counted in pixels of mean weight; the points are few and known, so there are no halves to compare: both are alike
-    n = float(len(delta) * points)
-    valid = np.concatenate(valid)
+            binned = kernels.binned(shown, e, f, points, pixels, surface.arrays, mesh.table, len(mesh))
+            parts.append(_sparse(*binned, exposed[some]))
+    entries, indices, count, valid, lost = (np.concatenate(part) for part in zip(*parts, strict=True))
+    # Counted in pixels of mean weight. The points are few and known: there are no halves to compare, both are alike.
+    n = float(len(pixels.delta) * points)
     share = np.where(valid > 0, exposed, 0)
-    count = np.concatenate(count) * n * np.repeat(share, np.concatenate(entries))
-    lost, valid = np.concatenate(lost) * n * share, valid * n * share
+    count = count * n * np.repeat(share, entries)
+    valid = valid * n * share
     return FormFactorRows(
-        np.concatenate([[0], np.cumsum(np.concatenate(entries))]).astype(np.int64),
-        np.concatenate(indices).astype(np.int32),
-        count.astype(np.float32),
-        (count / 2).astype(np.float32),
-        valid.astype(np.float32),
-        (valid / 2).astype(np.float32),
-        np.full(len(mesh), len(delta) * points),
-        lost.astype(np.float32),
-        len(mesh),
+        indptr=np.concatenate([[0], np.cumsum(entries)]).astype(np.int64),
+        indices=indices.astype(np.int32),
+        count=count.astype(np.float32),
+        half=(count / 2).astype(np.float32),
+        valid=valid.astype(np.float32),
+        valid_half=(valid / 2).astype(np.float32),
+        shot=np.full(len(mesh), len(pixels.delta) * points),
+        lost=(lost * n * share).astype(np.float32),
+        columns=len(mesh),
     )
+
+
+def _sparse(F, inside, nowhere, exposed):
+    """entries (k,), indices and count (nnz,), valid and lost (k,) of FormFactorRows, as shares of all pixels.
+
+    F, inside, nowhere : of kernels.binned;  exposed : (k,)
+    """
+    blind = (inside > 0.5) | (exposed == 0)  # a point is in a solid or it is not; the rest is rounding at its edges
+    F[blind], nowhere[blind] = 0, 0
+    at = np.nonzero(F)
+    return np.bincount(at[0], minlength=len(F)), at[1], F[at], 1 - np.where(blind, 1, inside), nowhere

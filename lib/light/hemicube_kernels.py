@@ -1,30 +1,32 @@
 """Compiled: what the pixels of hemicubes show, summed patch by patch."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit, prange
+from lib.light.cells_kernels import PatchTable, patch_under
+from lib.light.surface_kernels import SurfaceArrays
+
+
+class HemicubePixels(NamedTuple):
+    """All pixels of a hemicube, face after face."""
+
+    direction: np.ndarray  # (K, 3) in the frame (x, y, normal)
+    delta: np.ndarray  # (K,) delta form factors
 
 
 @njit(parallel=True)
-def binned(
-    shown,
-    eye,
-    frames,
-    points,
-    directions,
-    delta,
-    normal,
-    origin,
-    axes,
-    size,
-    inside,
-    table_start,
-    table_shape,
-    leaf,
-    columns,
-):
-    """Sum of the delta factors per patch (k, N), and of what starts inside a solid and what meets no patch (k,): the mean of
-    `points` hemicubes for each row."""
+def binned(shown, eye, frames, points, pixels: HemicubePixels, surface: SurfaceArrays, table: PatchTable, columns):
+    """Sums of delta factors for each patch, the mean of its `points` hemicubes.
+
+    shown : (k * points, K) facet at each pixel, -1;  eye : (k * points, 3);  frames : (k * points, 3, 3) x, y, normal
+    Returns them per patch that is met (k, columns), and of what starts inside a solid and what meets no patch (k,).
+    """
+    normal, origin, axes = surface.normal, surface.origin, surface.axes
+    size, inside = surface.size, surface.inside
+    start, shape, leaf = table.start, table.shape, table.leaf
+    directions, delta = pixels.direction, pixels.delta
     m = len(eye) // points
     out = np.zeros((m, columns))
     dropped = np.zeros(m)
@@ -46,7 +48,7 @@ def binned(
                 if inside[s]:
                     dropped[row] += delta[k] / points
                     continue
-                if table_start[s] < 0:
+                if start[s] < 0:
                     lost[row] += delta[k] / points
                     continue
                 t = height / facing if facing != 0 else 0.0
@@ -55,14 +57,7 @@ def binned(
                     p = eye[i, c] + t * d[c] - origin[f, c]
                     u += p * axes[f, 0, c]
                     v += p * axes[f, 1, c]
-                nu, nv = table_shape[s, 0], table_shape[s, 1]
-                a = min(max(int(u / size[f, 0] * nu), 0), nu - 1)
-                b = min(max(int(v / size[f, 1] * nv), 0), nv - 1)
-                patch = leaf[table_start[s] + a * nv + b]
-                for da in range(-1, 2):  # a pixel on a slanted border: the next cell inside
-                    for db in range(-1, 2):
-                        if patch < 0 and 0 <= a + da < nu and 0 <= b + db < nv:
-                            patch = leaf[table_start[s] + (a + da) * nv + b + db]
+                patch = patch_under(u, v, s, size[f], start, shape, leaf)
                 if patch >= 0:
                     out[row, patch] += delta[k] / points
                 else:

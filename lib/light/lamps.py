@@ -1,5 +1,7 @@
-"""Light straight from lamps. Lamps are small and bright and therefore treated apart: the exact factor of the lamp's polygon from a
-point (Lambert's contour formula) times its visible share, by shadow rays.
+"""Light straight from lamps.
+
+Lamps are small and bright and therefore treated apart: the exact factor of the lamp's polygon from a point (Lambert's
+contour formula) times its visible share, by shadow rays.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ from lib.given.rays import shifts, sobol
 from lib.given.rays_kernels import OFFSET
 from lib.light import lamps_kernels as kernels
 from lib.light.cells import Mesh
+from lib.light.cells_kernels import patch_points
 from lib.light.form_factors import CHUNK
-from lib.light.surface import Surface, covered, side_normals
-
-# -- lamps
+from lib.light.lamps_kernels import LampArrays
+from lib.light.surface import Surface, covered, side_normals, triangle_areas
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,14 @@ class Emitter:
     normal: np.ndarray  # (K, 3) front
     cdf: np.ndarray  # (K,) cumulated share of the area
     facets: tuple = ()  # their facets, where nothing mirrors them
-    mirrors: tuple = ()  # facets of plane mirrors that show it, the one nearest to the receiver first: the rest is its mirror image
+    # Facets of the plane mirrors that show it, the one nearest to the receiver first. Corners and normals are then
+    # those of the mirror image.
+    mirrors: tuple = ()
+
+    @property
+    def arrays(self) -> LampArrays:
+        """For kernels."""
+        return LampArrays(self.corners, self.normal, self.cdf)
 
 
 def emitters(surface: Surface, lamps) -> list[Emitter]:
@@ -36,30 +45,22 @@ def emitters(surface: Surface, lamps) -> list[Emitter]:
     lamps : names of the groups that emit, in the order of the columns of the factors
     """
     result = []
-    area = np.linalg.norm(
-        np.cross(surface.corners[:, 1] - surface.corners[:, 0], surface.corners[:, 2] - surface.corners[:, 0]), axis=1
-    )
+    area = triangle_areas(surface.corners)
     for lamp, name in enumerate(lamps):
         facets = np.flatnonzero(surface.group == surface.groups.index(name))
         sets = [[f] for f in facets] if len(facets) <= 8 else [facets]
         for chosen in sets:
             t = np.flatnonzero(np.isin(surface.facet, chosen))
-            result.append(
-                Emitter(
-                    lamp,
-                    surface.corners[t],
-                    surface.normal[surface.facet[t]],
-                    np.cumsum(area[t]) / area[t].sum(),
-                    tuple(int(f) for f in chosen),
-                )
-            )
+            cdf = np.cumsum(area[t]) / area[t].sum()
+            facets_of_it = tuple(int(f) for f in chosen)
+            result.append(Emitter(lamp, surface.corners[t], surface.normal[surface.facet[t]], cdf, facets_of_it))
     return result
 
 
 def reached(surface: Surface, lamp: Emitter, rays):
-    """(n,) bool: nothing stands on the way to the points of the lamp that rays (n, 6), origin and vector, aim at.
+    """(n,) bool: nothing stands on the way to the points of the lamp at which rays (n, 6), origin and vector, aim.
 
-    Of a mirrored lamp the way leads through its mirrors: it must meet each of them first, and nothing after the last.
+    To a mirrored lamp the way leads through its mirrors: it must meet each of them first, and nothing after the last.
     """
     if not lamp.mirrors:
         return ~surface.shadows.occluded(rays, 1 - 1e-4)
@@ -97,12 +98,13 @@ def direct(
     weight=None,
     shadows=True,
 ) -> np.ndarray:
-    """Factor from each point to each lamp, shadows included, (M, n_lamps); with `start`, the mean over each set of points.
+    """Factor from each point to each lamp, shadows included, (M, n_lamps); with `start` the mean of each set of points.
 
-    The exact unoccluded factor times the visible share, estimated from `n_samples` points of the lamp weighted
-    with the light they would send; without an occluder in the scene no ray is cast and the result is exact. The
-    share is a ratio of sums and biased by about 1 / samples: where a mean is wanted (`start`), the sums run over
-    the whole set, which takes the bias away (4 samples per pixel and a ratio per pixel cost 0.6 % on `office`).
+    The exact unoccluded factor times the visible share. The share comes from `n_samples` points of the lamp, weighted
+    with the light that they would send. Without an occluder in the scene no ray is cast and the result is exact.
+
+    The share is a ratio of sums and biased by about 1 / samples. Where a mean is wanted (`start`), the sums run over
+    the whole set, which takes the bias away: 4 samples per pixel and a ratio per pixel cost 0.6 % on `office`.
 
     points : (M, 3) local, on their facets;  normals : (K, 3);  normal_idx : (M,) the normal of each point
     start : (S + 1,) sets of consecutive points -> (S, n_lamps);  weight : (M,) of the points in their set
@@ -115,7 +117,7 @@ def direct(
     factor = np.zeros((sets, n_lamps))
     sequence = sobol(n_samples)
     for number, lamp in enumerate(lamps):
-        share = kernels.factors(points, normal_idx, normals, lamp.corners, lamp.normal) * weight
+        share = kernels.factors(points, normal_idx, normals, lamp.arrays) * weight
         total = (np.add.reduceat(share, first) if sets else share) / mass
         if shadows and (surface.n_occluders or lamp.mirrors):
             lit = np.flatnonzero(share > 0)
@@ -123,9 +125,7 @@ def direct(
             for a in range(0, len(lit), max(1, CHUNK // n_samples)):
                 which = lit[a : a + max(1, CHUNK // n_samples)]
                 shift = shifts(len(which), n_samples, seed + 31 * number)
-                r, light = kernels.shadow_rays(
-                    points, normal_idx, normals, which, n_samples, sequence, shift, lamp.corners, lamp.normal, lamp.cdf
-                )
+                r, light = kernels.shadow_rays(points, normal_idx, normals, which, sequence, shift, lamp.arrays)
                 visible = reached(surface, lamp, r)
                 sent[which] = light.reshape(-1, n_samples).sum(axis=1)
                 seen[which] = (light * visible).reshape(-1, n_samples).sum(axis=1)
@@ -137,19 +137,12 @@ def direct(
 
 
 def patch_direct(surface: Surface, mesh: Mesh, lamps, n_lamps, *, n_points, n_samples=4, seed=0) -> np.ndarray:
-    """Mean factor of each patch to each lamp, (N, n_lamps), over its points outside solids: a patch half under a
-    cabinet has the light of its other half (DESIGN 7, trap 3)."""
-    p = kernels.patch_points(
-        n_points,
-        sobol(n_points),
-        shifts(len(mesh), n_points, seed + 2000),
-        mesh.side,
-        mesh.tri_start,
-        mesh.tri_uv,
-        mesh.tri_cdf,
-        surface.origin,
-        surface.axes,
-    )
+    """Mean factor of each patch to each lamp, (N, n_lamps), over its points outside solids.
+
+    So a patch half under a cabinet has the light of its other half (docs/design.md, Patches inside solids).
+    """
+    shift = shifts(len(mesh), n_points, seed + 2000)
+    p = patch_points(n_points, sobol(n_points), shift, mesh.pieces, surface.arrays)
     normals = side_normals(surface)
     normal_idx = np.repeat(mesh.side, n_points)
     return direct(

@@ -1,17 +1,28 @@
 """Compiled: exact factors of polygons, and shadow rays to lamps."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit, prange
 from lib.given.rays_kernels import OFFSET
-from lib.light.cells_kernels import in_patch
+from lib.light.sampling_kernels import scrambled
+
+
+class LampArrays(NamedTuple):
+    """What kernels need of an Emitter; see there."""
+
+    corners: np.ndarray  # (K, 3, 3) local
+    normal: np.ndarray  # (K, 3)
+    cdf: np.ndarray  # (K,)
 
 
 @njit()
 def polygon_factor(p, n, corners, m, work):
     """Form factor from the element at p with normal n to a polygon, everything in front of it visible.
 
-    Lambert's contour formula, the polygon first clipped at the element's horizon. corners : (>= m, 3)
+    Lambert's contour formula, the polygon first clipped at the element's horizon.
+    corners : (>= m, 3), the first m are the polygon's;  work : (>= 2 m + 2, 3), room for the clipped polygon
     """
     k = 0
     for i in range(m):
@@ -38,8 +49,12 @@ def polygon_factor(p, n, corners, m, work):
 
 
 @njit(parallel=True)
-def factors(p, normal_idx, normals, corners, front):
-    """Sum over triangles of the factor from each point, of those whose front faces it."""
+def factors(p, normal_idx, normals, lamp: LampArrays):
+    """(M,) sum over the lamp's triangles of the factor from each point, of those whose front faces it.
+
+    p : (M, 3);  normals : (K, 3);  normal_idx : (M,)
+    """
+    corners, front = lamp.corners, lamp.normal
     out = np.zeros(len(p))
     for i in prange(len(p)):
         work = np.empty((8, 3))
@@ -50,52 +65,54 @@ def factors(p, normal_idx, normals, corners, front):
     return out
 
 
+# ---- shadow rays ----
+
+
+@njit(inline="always")
+def on_lamp(u, v, cdf):
+    """A triangle of a lamp and the weights of its corners, of a place uniform over the lamp for uniform (u, v)."""
+    t = 0
+    while t < len(cdf) - 1 and cdf[t] <= u:
+        t += 1
+    low = cdf[t - 1] if t > 0 else 0.0
+    r = np.sqrt(min(max((u - low) / (cdf[t] - low), 0.0), 1.0))
+    return t, 1 - r, r * (1 - v), r * v
+
+
+@njit(inline="always")
+def aim(p, normal, sign, u, v, lamp: LampArrays, rays, row):
+    """Write the shadow ray from p (3,) to the place (u, v) of a lamp; returns the light that takes it, up to a factor.
+
+    normal : (3,) of the facet, times sign (1 or -1) that of the side;  rays : (n, 6), origin and vector
+    """
+    corners, front = lamp.corners, lamp.normal
+    t, w0, w1, w2 = on_lamp(u, v, lamp.cdf)
+    squared, here, there = 0.0, 0.0, 0.0
+    for d in range(3):
+        target = w0 * corners[t, 0, d] + w1 * corners[t, 1, d] + w2 * corners[t, 2, d]
+        start = p[d] + OFFSET * sign * normal[d]
+        x = target + OFFSET * front[t, d] - start
+        rays[row, d] = start
+        rays[row, 3 + d] = x
+        squared += x * x
+        here += x * sign * normal[d]
+        there -= x * front[t, d]
+    return max(here, 0.0) * max(there, 0.0) / max(squared * squared, 1e-30)
+
+
 @njit(parallel=True)
-def shadow_rays(p, normal_idx, normals, which, n, points, shift, corners, front, cdf):
+def shadow_rays(p, normal_idx, normals, which, points, shift, lamp: LampArrays):
+    """Rays (m * n, 6) from the points p[which] to a lamp, n each, and the light that takes each way, up to a factor.
+
+    points : (n, 4), shift : (m, 4) uint32
+    """
+    n = len(points)
     rays = np.empty((len(which) * n, 6), np.float32)
     weight = np.empty(len(which) * n, np.float32)
     for j in prange(len(which)):
         i = which[j]
-        nrm = normals[normal_idx[i]]
-        h0, h1 = shift[j, 0], shift[j, 1]
         for k in range(n):
-            u = ((points[k, 0] ^ h0) + 0.5) / 4294967296.0
-            v = ((points[k, 1] ^ h1) + 0.5) / 4294967296.0
-            t = 0
-            while t < len(cdf) - 1 and cdf[t] <= u:
-                t += 1
-            low = cdf[t - 1] if t > 0 else 0.0
-            r = np.sqrt(min(max((u - low) / (cdf[t] - low), 0.0), 1.0))
+            u, v = scrambled(points[k, 0], shift[j, 0]), scrambled(points[k, 1], shift[j, 1])
             row = j * n + k
-            squared, cos_here, cos_there = 0.0, 0.0, 0.0
-            for d in range(3):
-                target = (1 - r) * corners[t, 0, d] + r * (1 - v) * corners[t, 1, d] + r * v * corners[t, 2, d]
-                start = p[i, d] + OFFSET * nrm[d]
-                x = target + OFFSET * front[t, d] - start
-                rays[row, d] = start
-                rays[row, 3 + d] = x
-                squared += x * x
-                cos_here += x * nrm[d]
-                cos_there -= x * front[t, d]
-            weight[row] = max(cos_here, 0.0) * max(cos_there, 0.0) / max(squared * squared, 1e-30)
+            weight[row] = aim(p[i], normals[normal_idx[i]], 1.0, u, v, lamp, rays, row)
     return rays, weight
-
-
-@njit(parallel=True)
-def patch_points(n, points, shift, side, tri_start, tri_uv, tri_cdf, origin, axes):
-    out = np.empty((len(side) * n, 3))
-    for i in prange(len(side)):
-        f = side[i] >> 1
-        h0, h1 = shift[i, 0], shift[i, 1]
-        for k in range(n):
-            u, v = in_patch(
-                i,
-                ((points[k, 0] ^ h0) + 0.5) / 4294967296.0,
-                ((points[k, 1] ^ h1) + 0.5) / 4294967296.0,
-                tri_start,
-                tri_uv,
-                tri_cdf,
-            )
-            for d in range(3):
-                out[i * n + k, d] = origin[f, d] + u * axes[f, 0, d] + v * axes[f, 1, d]
-    return out

@@ -1,4 +1,4 @@
-"""What a mirror shows: the virtual index buffer (section 4.5)."""
+"""What a mirror shows: the virtual index buffer (§4.5)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from lib.light.surface import Surface
 class MirrorView:
     """What rays of the camera show after all mirrors.
 
-    facet : (n,) int32, -1 nothing, or still in mirrors when the count ran out;  side : (n,);  p : (n, 3) local;  chain : (n,) int32
-    direction : (n, 3) unit, of the last piece of the way
+    facet : (n,) int32, -1 nothing, or still in mirrors when the count ran out;  side : (n,) int32;  p : (n, 3) local
+    chain : (n,) int32;  direction : (n, 3) unit, of the last piece of the way
     """
 
     facet: np.ndarray
@@ -32,13 +32,8 @@ class MirrorView:
 
 def through_mirrors(surface: Surface, finish: Finish, chains: Chains, rays, *, depth=64) -> MirrorView:
     """The first facet that is no mirror on the way of each ray (n, 6)."""
-    plain = Finish(
-        tuple(g for g, k in zip(finish.groups, finish.kind) if k == MIRROR),
-        np.full(int((np.asarray(finish.kind) == MIRROR).sum()), MIRROR),
-        np.zeros((len(finish), 2)),
-        np.zeros((len(finish), 3)),
-    )
-    numbers = [m for m, k in enumerate(finish.kind) if k == MIRROR]  # of the mirrors among the specular groups
+    numbers = np.flatnonzero(np.asarray(finish.kind) == MIRROR)  # of the mirrors among the specular groups
+    plain = finish.only(numbers)
     own = Chains(len(plain))
     of, _ = plain.facets(surface)
     n = len(rays)
@@ -68,12 +63,8 @@ def through_mirrors(surface: Surface, finish: Finish, chains: Chains, rays, *, d
         note(start)
         for met in follow(surface, plain, own, start, depth=depth):
             note(met)
-    # the ways of this view, in the numbers of all specular groups
-    table = np.array(
-        [
-            chains.number(tuple(own.count[k][numbers.index(m)] if m in numbers else 0 for m in range(len(finish))))
-            for k in range(len(own))
-        ],
-        np.int32,
-    )
+    # the chains of this view, in the numbers of all specular groups
+    count = np.zeros((len(own), len(finish)), int)
+    count[:, numbers] = own.counts
+    table = np.array([chains.number(tuple(map(int, row))) for row in count], np.int32)
     return replace(out, chain=table[out.chain])

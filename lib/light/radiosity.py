@@ -18,14 +18,26 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
 
 import numpy as np
 
 from lib.light import radiosity_kernels as kernels
+from lib.light.radiosity_kernels import Elements, Receivers, Shooting
 
 METHODS = ("krylov", "direct", "gauss_seidel", "jacobi", "southwell", "progressive")
+
+
+class Step(NamedTuple):
+    """A point of the trace: seconds since the solve began, without the callback's; shots tell their unshot light."""
+
+    iteration: int
+    cpu_s: float
+    wall_s: float
+    residual: float
 
 
 @dataclass(frozen=True)
@@ -35,7 +47,7 @@ class Solution:
     bound : max |B - B*| is at most this; inf where it cannot be told
     iterations : sweeps, products with F, or shots, whichever the method counts
     converged : bool
-    trace : list of (iteration, cpu_s, residual); a shooting method gives its unshot light instead of the residual
+    trace : [Step] of the iterations
     """
 
     B: np.ndarray
@@ -70,7 +82,8 @@ def solve(
     F : (N, N)              array or scipy.sparse; F[i, j] leaves i and reaches j; rows sum to at most 1
     tolerance               of the residual, as a part of the brightest emittance of the channel
     x0                      a first guess: the answer for slightly different rho (krylov, jacobi, gauss_seidel)
-    callback, every         called as callback(iteration, B) after each iteration, or after so many shots; its time is not counted
+    callback, every         called as callback(iteration, B) after each iteration, or after so many shots; its time is
+                            not counted
     area : (N,)             progressive: patches shoot by power; default: all equal
     patch : (N,) int        progressive: the patch to which each element belongs. Patches shoot, with the mean
                             radiosity of their elements, and elements receive; default: each its own patch
@@ -148,12 +161,13 @@ class Factors:
         return kernels.dense_times(self.F, X) if self.F.dtype == np.float32 else self.F @ X
 
     def columns(self):
-        """The transpose, stored by rows: who receives what a patch shoots."""
+        """The transpose of F, stored by rows: who receives what a patch shoots."""
         if self._columns is None:
             self._columns = self.F.T.tocsr() if self.sparse else np.ascontiguousarray(self.F.T)
         return self._columns
 
     def dense(self):
+        """(N, N) array."""
         return self.F.toarray() if self.sparse else self.F
 
 
@@ -167,11 +181,11 @@ def product(F):
     )
 
 
-# -- does a balance exist, and how far can the answer be off
+# ---- does a balance exist, and how far can the answer be off ----
 
 
 def _checked(E, rho, F):
-    """rho as it is used: rows of F that rounding carries beyond 1 are scaled back, patches in the dark at rho = 1 are 0."""
+    """rho as it is used: less where rounding carries a row of F beyond 1, 0 for patches in the dark at rho = 1."""
     if len(E) != F.n or len(rho) != F.n:
         raise ValueError(f"E and rho are for {len(E)} patches, F for {F.n}")
     if not np.isfinite(E).all():
@@ -215,23 +229,24 @@ def _bound(rho, F, residual):
 
 
 class _Watch:
-    """CPU time of the iterations, without that of the caller's callback."""
+    """The trace of the iterations, without the time of the caller's callback."""
 
     def __init__(self, callback, one):
         self.callback, self.one = callback, one
-        self.steps, self.away = [], 0.0
-        self.began = time.process_time()
+        self.steps = []
+        self.cpu, self.wall = time.process_time(), time.perf_counter()  # the solve began; later by what callbacks took
 
     def __call__(self, iteration, residual, B):
-        now = time.process_time()
-        self.steps.append((int(iteration), now - self.began - self.away, float(residual)))
+        cpu, wall = time.process_time(), time.perf_counter()
+        self.steps.append(Step(int(iteration), cpu - self.cpu, wall - self.wall, float(residual)))
         if self.callback is not None:
             B = B() if callable(B) else B
             self.callback(int(iteration), (B[:, 0] if self.one else B).copy())
-            self.away += time.process_time() - now
+            self.cpu += time.process_time() - cpu
+            self.wall += time.perf_counter() - wall
 
 
-# -- direct and Krylov
+# ---- direct and Krylov ----
 
 
 def _direct(E, rho, F, target, watch):
@@ -310,43 +325,55 @@ def gmres(apply, b, *, tolerance, max_iterations=200, x0=None, progress=None):
         g[:, 0] = beta
         size = np.zeros(K, int)  # steps that each column takes
         for j in range(restart):
-            w = np.ascontiguousarray(apply(V[:, j].T).T)
-            h = np.zeros((K, j + 2))
-            for _ in range(2):  # twice is enough
-                part = np.matmul(V[:, : j + 1], w[:, :, None])[:, :, 0]
-                w -= np.matmul(part[:, None, :], V[:, : j + 1])[:, 0]
-                h[:, : j + 1] += part
-            h[:, j + 1] = np.linalg.norm(w, axis=1)
-            V[:, j + 1] = w / np.where(h[:, j + 1] > 1e-30, h[:, j + 1], 1)[:, None].astype(b.dtype)
+            h = _next_vector(np.ascontiguousarray(apply(V[:, j].T).T), V, j)
             iterations += 1
-            for i in range(j):
-                c, s = turn[i]
-                h[:, i], h[:, i + 1] = c * h[:, i] + s * h[:, i + 1], c * h[:, i + 1] - s * h[:, i]
-            length = np.maximum(np.hypot(h[:, j], h[:, j + 1]), 1e-300)
-            c, s = turn[j] = h[:, j] / length, h[:, j + 1] / length
-            h[:, j] = length
+            c, s = _rotate(h, turn, j)
             R[:, : j + 1, j] = h[:, : j + 1]
             moving = np.abs(g[:, j]) > 0.1 * tolerance * norm
             size[moving] = j + 1
             g[:, j], g[:, j + 1] = c * g[:, j], -s * g[:, j]
             if progress is not None:
-                progress(iterations, np.abs(g[:, j + 1]), lambda: x + _combine(V, R, g, size))
+                so_far = partial(_combined, x, V, R, g, size)
+                progress(iterations, np.abs(g[:, j + 1]), so_far)
             if (np.abs(g[:, j + 1]) <= tolerance * norm).all() or iterations >= max_iterations:
                 break
-        x = x + _combine(V, R, g, size)
+        x = _combined(x, V, R, g, size)
 
 
-def _combine(V, R, g, size):
-    """x = V y with R y = g, of each column as many steps as it took."""
+def _next_vector(w, V, j):
+    """Make w (K, N) orthogonal to V[:, : j + 1] and write it, of length 1, into V[:, j + 1]; returns h (K, j + 2)."""
+    h = np.zeros((len(V), j + 2))
+    for _ in range(2):  # twice is enough
+        part = np.matmul(V[:, : j + 1], w[:, :, None])[:, :, 0]
+        w -= np.matmul(part[:, None, :], V[:, : j + 1])[:, 0]
+        h[:, : j + 1] += part
+    h[:, j + 1] = np.linalg.norm(w, axis=1)
+    V[:, j + 1] = w / np.where(h[:, j + 1] > 1e-30, h[:, j + 1], 1)[:, None].astype(V.dtype)
+    return h
+
+
+def _rotate(h, turn, j):
+    """Apply the rotations so far to column j of the Hessenberg matrix, in place, and add the one that ends it."""
+    for i in range(j):
+        c, s = turn[i]
+        h[:, i], h[:, i + 1] = c * h[:, i] + s * h[:, i + 1], c * h[:, i + 1] - s * h[:, i]
+    length = np.maximum(np.hypot(h[:, j], h[:, j + 1]), 1e-300)
+    turn[j] = h[:, j] / length, h[:, j + 1] / length
+    h[:, j] = length
+    return turn[j]
+
+
+def _combined(x, V, R, g, size):
+    """x + V y with R y = g, of each column as many steps as it took."""
     used = int(size.max(initial=0))
     y = np.zeros((len(V), used))
     for i in reversed(range(used)):
         left = g[:, i] - np.einsum("kj,kj->k", R[:, i, i + 1 : used], y[:, i + 1 :])
         y[:, i] = np.where(i < size, left / np.maximum(np.abs(R[:, i, i]), 1e-300), 0)
-    return np.matmul(y[:, None, :].astype(V.dtype), V[:, :used])[:, 0].T
+    return x + np.matmul(y[:, None, :].astype(V.dtype), V[:, :used])[:, 0].T
 
 
-# -- gathering, sweep by sweep
+# ---- gathering, sweep by sweep ----
 
 
 def _sweeps(E, rho, F, target, max_iterations, x0, watch, in_place):
@@ -371,7 +398,7 @@ def _sweeps(E, rho, F, target, max_iterations, x0, watch, in_place):
     return np.ascontiguousarray(B), max_iterations, False
 
 
-# -- shooting, patch by patch (figure 3.9)
+# ---- shooting, patch by patch (figure 3.9) ----
 
 
 def _shots(E, rho, F, target, max_iterations, watch, method, area, patch, ambient, overshoot, every):
@@ -389,40 +416,20 @@ def _shots(E, rho, F, target, max_iterations, watch, method, area, patch, ambien
     area = np.ones(n) if area is None or not progressive else np.asarray(area, float)
     if len(area) != n or not (area > 0).all():
         raise ValueError("area: one positive number per element is needed")
-    columns = F.columns()
-    own = rho * F.F.diagonal()[:, None]  # what comes straight back to a patch that sees itself
     if patch is None or not progressive:
-        patch = np.arange(n)
+        patch, columns, own = np.arange(n), F.columns(), rho * F.F.diagonal()[:, None]
     else:
-        patch = np.unique(np.asarray(patch), return_inverse=True)[1].reshape(-1)
-        if len(patch) != n:
-            raise ValueError(f"patch: {len(patch)} numbers for {n} elements")
-        # what reaches each element from a patch whose elements all send alike
-        from scipy.sparse import csr_array
-
-        columns = csr_array((np.ones(n), (patch, np.arange(n))), shape=(int(patch.max(initial=-1)) + 1, n)) @ columns
-        columns = columns.tocsr() if F.sparse else np.ascontiguousarray(columns)
+        patch, columns = _by_patch(F, patch)
         own = np.zeros((columns.shape[0], E.shape[1]))
     patch_area = np.bincount(patch, area)
     share = area / patch_area[patch]
-
-    def mean(X):
-        return np.stack([np.bincount(patch, share * x) for x in X.T], axis=1)
-
-    if F.sparse:
-        start, index, value, table = (
-            columns.indptr.astype(np.int64),
-            columns.indices.astype(np.int64),
-            columns.data,
-            np.zeros((0, 0)),
-        )
-    else:
-        start, index, value, table = np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0), columns
+    mean = lambda X: np.stack([np.bincount(patch, share * x) for x in X.T], axis=1)
+    elements = Elements(rho, patch, share, mean(rho), patch_area, own)
     # the ambient term (Cohen et al. 1988): what is unshot, spread over the scene with all its bounces to come
     total = area.sum()
-    patch_rho = mean(rho)
     leaving = np.maximum(1 - (area[:, None] * rho * F.sums[:, None]).sum(axis=0) / total, 1e-9)
-
+    rules = Shooting(progressive, overshoot and progressive, leaving, target)
+    receivers = _receivers(columns, F.sparse)
     B, dB = E.copy(), mean(E)
 
     def shown():
@@ -434,29 +441,33 @@ def _shots(E, rho, F, target, max_iterations, watch, method, area, patch, ambien
     shots = 0
     every = max(1, every) if watch.callback is not None else max(64, n // 4)
     while True:
-        k, left = kernels.shoot(
-            min(every, max_iterations - shots),
-            table,
-            start,
-            index,
-            value,
-            F.sparse,
-            rho,
-            own,
-            patch_rho,
-            patch,
-            share,
-            patch_area,
-            progressive,
-            overshoot and progressive,
-            leaving,
-            target,
-            B,
-            dB,
-        )
+        k, left = kernels.shoot(min(every, max_iterations - shots), receivers, elements, rules, B, dB)
         shots += k
         if k:
             watch(shots, left, shown)
         if k == 0 or shots >= max_iterations:
             break
     return shown(), shots, (np.abs(dB) <= target).all()
+
+
+def _by_patch(F, patch):
+    """Number of each element's patch, without gaps (N,), and what each element receives from a patch whose elements
+    all send alike (P, N)."""
+    from scipy.sparse import csr_array
+
+    n = F.n
+    number = np.unique(np.asarray(patch), return_inverse=True)[1].reshape(-1)
+    if len(number) != n:
+        raise ValueError(f"patch: {len(number)} numbers for {n} elements")
+    owner = csr_array((np.ones(n), (number, np.arange(n))), shape=(int(number.max(initial=-1)) + 1, n))
+    columns = owner @ F.columns()
+    return number, columns.tocsr() if F.sparse else np.ascontiguousarray(columns)
+
+
+def _receivers(columns, sparse) -> Receivers:
+    """columns : (P, N), dense or CSR"""
+    if not sparse:
+        none = np.zeros(0, np.int64)
+        return Receivers(False, columns, np.zeros(1, np.int64), none, np.zeros(0))
+    start, index = columns.indptr.astype(np.int64), columns.indices.astype(np.int64)
+    return Receivers(True, np.zeros((0, 0)), start, index, columns.data)

@@ -1,5 +1,7 @@
 """Compiled: sweeps and shots of the solvers, and products with stored factors."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit
@@ -7,8 +9,11 @@ from lib.core.compiled import njit
 
 @njit()
 def sparse_times(indptr, indices, data, X):
-    """Four columns at a time: one pass over F serves them all, and its entries stay in registers. On one core: these
-    products last a millisecond, and to wake another costs as much."""
+    """F X (N, C) of a sparse F.
+
+    Four columns at a time: one pass over F serves them all, and its entries stay in registers. On one core: these
+    products last a millisecond, and to wake another costs as much.
+    """
     out = np.empty_like(X)
     zero = X.dtype.type(0)
     for i in range(len(indptr) - 1):
@@ -45,6 +50,7 @@ def sparse_times(indptr, indices, data, X):
 
 @njit(fastmath={"reassoc", "contract"})
 def dot(f, x):
+    """Of two vectors, in double precision; the compiler may add in any order."""
     total = 0.0
     for j in range(len(f)):
         total += f[j] * x[j]
@@ -53,6 +59,7 @@ def dot(f, x):
 
 @njit()
 def dense_times(F, X):
+    """F X (N, C), in double precision whatever F is stored in."""
     out = np.empty(X.shape)
     Y = np.ascontiguousarray(X.T)
     for i in range(len(F)):
@@ -63,6 +70,7 @@ def dense_times(F, X):
 
 @njit()
 def gauss_seidel_dense(F, rho, E, B):
+    """One sweep over B (C, N), in place; returns the largest change of each channel.  rho, E : (C, N)"""
     change = np.zeros(len(B))
     for c in range(len(B)):
         for i in range(len(F)):
@@ -75,6 +83,7 @@ def gauss_seidel_dense(F, rho, E, B):
 
 @njit()
 def gauss_seidel_sparse(indptr, indices, data, diagonal, rho, E, B):
+    """`gauss_seidel_dense` of a sparse F.  diagonal : (N,) of F"""
     change = np.zeros(len(B))
     for c in range(len(B)):
         for i in range(len(indptr) - 1):
@@ -111,28 +120,44 @@ def ahead(overshoot, own, unshot, share, leaving, rho):
     return min(rho * max((unshot - share * own) / leaving, 0.0), 0.8 * max(own, 0.0)) if overshoot else 0.0
 
 
+class Receivers(NamedTuple):
+    """Who receives what a patch shoots: F's columns, each as a row, dense or sparse (the other is empty)."""
+
+    sparse: bool
+    table: np.ndarray  # (P, N)
+    start: np.ndarray  # (P + 1,) int64 into index, value
+    index: np.ndarray
+    value: np.ndarray
+
+
+class Elements(NamedTuple):
+    """N elements receive; P patches, the elements' owners, shoot."""
+
+    rho: np.ndarray  # (N, C)
+    patch: np.ndarray  # (N,) int, of each element
+    share: np.ndarray  # (N,) of the patch's area
+    patch_rho: np.ndarray  # (P, C)
+    patch_area: np.ndarray  # (P,)
+    own: np.ndarray  # (P, C) what comes straight back to a patch that sees itself
+
+
+class Shooting(NamedTuple):
+    """Which patch shoots next, how much, and until when."""
+
+    by_power: bool  # radiosity times area decides, else radiosity
+    overshoot: bool
+    leaving: np.ndarray  # (C,) share of the light that is lost at a bounce
+    target: np.ndarray  # (C,) unshot radiosity that is small enough
+
+
 @njit()
-def shoot(
-    limit,
-    table,
-    start,
-    index,
-    value,
-    sparse,
-    rho,
-    own,
-    patch_rho,
-    patch,
-    share,
-    patch_area,
-    by_power,
-    overshoot,
-    leaving,
-    target,
-    B,
-    dB,
-):
-    """Up to `limit` shots; returns how many, and the largest unshot radiosity before the last."""
+def shoot(limit, receivers: Receivers, elements: Elements, rules: Shooting, B, dB):
+    """Up to `limit` shots, in place; returns how many, and the largest unshot radiosity before the last.
+
+    B : (N, C) radiosity;  dB : (P, C) what is still unshot of it
+    """
+    table, start, index, value = receivers.table, receivers.start, receivers.index, receivers.value
+    rho, patch, share, patch_area = elements.rho, elements.patch, elements.share, elements.patch_area
     C = B.shape[1]
     s = np.zeros(C)
     total = patch_area.sum()
@@ -140,30 +165,18 @@ def shoot(
     for p in range(len(dB)):
         for c in range(C):
             unshot[c] += patch_area[p] / total * dB[p, c]
-    total = patch_area.sum()
     largest = 0.0
     for shot in range(limit):
-        best, most, done, largest = 0, -1.0, True, 0.0
-        for p in range(len(dB)):  # find patch i with the largest dB_i A_i
-            size = 0.0
-            for c in range(C):
-                x = abs(dB[p, c])
-                largest = max(largest, x)
-                done &= x <= target[c]
-                size += abs(
-                    dB[p, c] + ahead(overshoot, dB[p, c], unshot[c], patch_area[p] / total, leaving[c], patch_rho[p, c])
-                )
-            size *= patch_area[p] if by_power else 1.0
-            if size > most:
-                best, most = p, size
+        best, done, largest = next_patch(elements, rules, dB, unshot, total)
         if done:
             return shot, largest
         for c in range(C):
-            s[c] = dB[best, c] / (1 - own[best, c])
-            s[c] += ahead(overshoot, dB[best, c], unshot[c], patch_area[best] / total, leaving[c], patch_rho[best, c])
+            part = patch_area[best] / total
+            s[c] = dB[best, c] / (1 - elements.own[best, c])
+            s[c] += ahead(rules.overshoot, dB[best, c], unshot[c], part, rules.leaving[c], elements.patch_rho[best, c])
             dB[best, c] -= s[c]
-            unshot[c] -= patch_area[best] / total * s[c]
-        if sparse:
+            unshot[c] -= part * s[c]
+        if receivers.sparse:
             for k in range(start[best], start[best + 1]):
                 j = index[k]
                 for c in range(C):
@@ -181,3 +194,24 @@ def shoot(
                         dB[patch[j], c] += d * share[j]
                         unshot[c] += d * share[j] * patch_area[patch[j]] / total
     return limit, largest
+
+
+@njit()
+def next_patch(elements: Elements, rules: Shooting, dB, unshot, total):
+    """The patch with the largest dB_i A_i (figure 3.9), whether all is small enough, and the largest of dB."""
+    patch_area, patch_rho = elements.patch_area, elements.patch_rho
+    overshoot, leaving, target = rules.overshoot, rules.leaving, rules.target
+    best, most, done, largest = 0, -1.0, True, 0.0
+    for p in range(len(dB)):
+        size = 0.0
+        for c in range(dB.shape[1]):
+            x = abs(dB[p, c])
+            largest = max(largest, x)
+            done &= x <= target[c]
+            size += abs(
+                dB[p, c] + ahead(overshoot, dB[p, c], unshot[c], patch_area[p] / total, leaving[c], patch_rho[p, c])
+            )
+        size *= patch_area[p] if rules.by_power else 1.0
+        if size > most:
+            best, most = p, size
+    return best, done, largest

@@ -9,7 +9,8 @@ import numpy as np
 from lib.light import adapt, form_factors, lamps
 from lib.light import surface as surfaces
 
-QUADS = [  # a corner and two edges: floor, ceiling, west and east walls, a lamp facing down, a table, a mat on the floor
+# A corner and two edges each: floor, ceiling, west and east walls, a lamp facing down, a table, a mat on the floor.
+QUADS = [
     ((0, 0, 0), (1, 0, 0), (0, 1, 0)),
     ((0, 0, 1), (0, 1, 0), (1, 0, 0)),
     ((0, 0, 0), (0, 1, 0), (0, 0, 1)),

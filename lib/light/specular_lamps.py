@@ -1,11 +1,13 @@
 """Lamps in mirrors and lamps in lobes.
 
-Lamps in plane mirrors are *mirrored lamps*: the exact factor of the mirrored polygon times the share of it that is seen through the
-mirror, which has none of the noise of rays that find a small lamp by chance. Lamps in a lobe are found both by rays to the lamp and
-by rays of the lobe, weighted by the balance heuristic (Veach and Guibas 1995).
+Lamps in plane mirrors are *mirrored lamps*: the exact factor of the mirrored polygon times the share of it that is seen
+through the mirror. That has none of the noise of rays which find a small lamp by chance. Lamps in a lobe are found both
+by rays to the lamp and by rays of the lobe, weighted by the balance heuristic (Veach and Guibas 1995).
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,115 +15,136 @@ from lib.given.rays_kernels import OFFSET
 from lib.light import specular_lamps_kernels as kernels
 from lib.light.chains import MIRROR, Chains, Finish
 from lib.light.lamps import Emitter
-from lib.light.paths import DEPTH, Met
-from lib.light.surface import Surface
+from lib.light.paths import DEPTH, AtLobes, Met
+from lib.light.specular_lamps_kernels import GlossyArrays
+from lib.light.surface import Surface, triangle_areas
 
 MIRRORED_LAMPS = 64  # facets of lamps in plane mirrors; beyond, lamps in mirrors are left to the rays
 
 
-# -- lamps in mirrors, lamps in lobes
+# ---- lamps in mirrors ----
 
 
-def mirrored_lamps(surface: Surface, finish: Finish, chains: Chains, lamps, *, depth=4, limit=MIRRORED_LAMPS):
-    """The lamps as plane mirrors show them: Emitters that know their mirrors, and their chains (n,).
+class MirroredLamps(NamedTuple):
+    """lamps : Emitters that know their mirrors;  way : (n,) their chains
 
-    A lamp in a mirror in a mirror is there too, `depth` deep or as deep as makes no more than `limit`: they are complete for
-    ways by so many mirrors (the third value); what comes by more is left to the rays.
+    complete : by how many mirrors they are complete; what comes by more is left to the rays
     """
-    of, _ = finish.facets(surface)
-    mirrors = [
-        f
-        for f in np.flatnonzero(of >= 0)
-        if finish.kind[of[f]] == MIRROR and not (surface.inside[2 * f] and surface.inside[2 * f + 1])
-    ]
+
+    lamps: list
+    way: np.ndarray
+    complete: int
+
+
+class PlaneMirror(NamedTuple):
+    """facet : its number;  normal, origin : (3,);  corners : (n, 3);  inside : which of its sides look into a solid"""
+
+    facet: int
+    normal: np.ndarray
+    origin: np.ndarray
+    corners: np.ndarray
+    inside: tuple
+
+
+def mirrored_lamps(
+    surface: Surface, finish: Finish, chains: Chains, lamps, *, depth=4, limit=MIRRORED_LAMPS
+) -> MirroredLamps:
+    """The lamps as plane mirrors show them.
+
+    A lamp in a mirror in a mirror is there too, `depth` deep, or as deep as makes no more than `limit` of them.
+    """
+    mirrors = _plane_mirrors(surface, finish)
     if not mirrors:
-        return [], np.zeros(0, int), DEPTH
-    box = {f: surface.corners[surface.facet == f].reshape(-1, 3) for f in mirrors}
-    found, number = [], []
+        return MirroredLamps([], np.zeros(0, int), DEPTH)
+    of, _ = finish.facets(surface)
+    found, way = [], []
     last = [(lamp, 0) for lamp in lamps]
     for level in range(depth):
         fresh = []
         for lamp, chain in last:
-            for f in mirrors:
-                n, o = surface.normal[f], surface.origin[f]
-                before = lamp.mirrors[0] if lamp.mirrors else -1
-                if f == before:
-                    continue
-                height = (lamp.corners - o) @ n
-                seen = box[before] if before >= 0 else lamp.corners.reshape(-1, 3)
-                over = (seen - o) @ n  # of what lights the mirror: on which sides of it
-                for sign in (1, -1):
-                    if (
-                        surface.inside[2 * f + (sign < 0)]
-                        or (sign * over).max() <= 4 * OFFSET
-                        or (sign * height).max() <= 4 * OFFSET
-                    ):
-                        continue
-                    # the mirror must lie before the front of the (mirrored) lamp
-                    if not ((box[f][:, None] - lamp.corners[None, :, 0]) * lamp.normal[None]).sum(axis=-1).max() > 1e-9:
-                        continue
-                    corners = lamp.corners - 2 * height[..., None] * n
-                    front = lamp.normal - 2 * (lamp.normal @ n)[:, None] * n
-                    fresh.append(
-                        (
-                            Emitter(lamp.lamp, corners, front, lamp.cdf, mirrors=(f, *lamp.mirrors)),
-                            int(chains.then(np.array([chain]), np.array([of[f]]))[0]),
-                        )
-                    )
-                    break  # the other side of a plane shows the same image: the rays know which
+            for mirror in mirrors.values():
+                image = _in_mirror(lamp, mirror, mirrors.get(lamp.mirrors[0]) if lamp.mirrors else None)
+                if image is not None:
+                    fresh.append((image, int(chains.then(np.array([chain]), np.array([of[mirror.facet]]))[0])))
         if len(found) + len(fresh) > limit:
-            return found, np.array(number, int), level
+            return MirroredLamps(found, np.array(way, int), level)
         found += [lamp for lamp, _ in fresh]
-        number += [chain for _, chain in fresh]
+        way += [chain for _, chain in fresh]
         last = fresh
-    return found, np.array(number, int), depth
+    return MirroredLamps(found, np.array(way, int), depth)
+
+
+def _plane_mirrors(surface, finish):
+    """{facet: PlaneMirror} of the mirrors with a side that light can reach."""
+    of, _ = finish.facets(surface)
+    mirrors = {}
+    for f in np.flatnonzero(of >= 0):
+        inside = (surface.inside[2 * f], surface.inside[2 * f + 1])
+        if finish.kind[of[f]] == MIRROR and not all(inside):
+            corners = surface.corners[surface.facet == f].reshape(-1, 3)
+            mirrors[f] = PlaneMirror(f, surface.normal[f], surface.origin[f], corners, inside)
+    return mirrors
+
+
+def _in_mirror(lamp: Emitter, mirror: PlaneMirror, before: PlaneMirror | None) -> Emitter | None:
+    """A lamp's image in a mirror; None where the mirror cannot show it.
+
+    before : the mirror that shows this lamp, if it is an image itself: what lights the next mirror is then there
+    """
+    n, o = mirror.normal, mirror.origin
+    if before is not None and before.facet == mirror.facet:
+        return None
+    height = (lamp.corners - o) @ n
+    over = ((lamp.corners.reshape(-1, 3) if before is None else before.corners) - o) @ n
+    # Either side will do: the other side of a plane shows the same image, and the rays know which is seen.
+    sides = ((1, mirror.inside[0]), (-1, mirror.inside[1]))
+    if not any(
+        not inside and (sign * over).max() > 4 * OFFSET and (sign * height).max() > 4 * OFFSET for sign, inside in sides
+    ):
+        return None
+    # the mirror must lie before the front of the (mirrored) lamp
+    if not ((mirror.corners[:, None] - lamp.corners[None, :, 0]) * lamp.normal[None]).sum(axis=-1).max() > 1e-9:
+        return None
+    corners = lamp.corners - 2 * height[..., None] * n
+    front = lamp.normal - 2 * (lamp.normal @ n)[:, None] * n
+    return Emitter(lamp.lamp, corners, front, lamp.cdf, mirrors=(mirror.facet, *lamp.mirrors))
+
+
+def add_lamps(D, mirrored, way, factor, n_lamps):
+    """Add the factors (R, n) of mirrored lamps to D, {chain: (R, L)}."""
+    for k, lamp in enumerate(mirrored):
+        D.setdefault(int(way[k]), np.zeros((len(factor), n_lamps)))[:, lamp.lamp] += factor[:, k]
+
+
+# ---- lamps in lobes ----
 
 
 def lamp_areas(lamps):
     """(n,) local areas of the emitters."""
-    return np.array(
-        [
-            0.5
-            * np.linalg.norm(
-                np.cross(e.corners[:, 1] - e.corners[:, 0], e.corners[:, 2] - e.corners[:, 0]), axis=1
-            ).sum()
-            for e in lamps
-        ]
-    )
+    return np.array([triangle_areas(lamp.corners).sum() for lamp in lamps])
 
 
-def lobe_light(surface: Surface, finish: Finish, lamps, p, facet, sign, met: Met, group, axes, step, *, seed=0):
-    """What the lamps send straight into lobes, by one ray to each emitter: (n, lamps) of the balance heuristic's share, without rho_s."""
-    light = np.zeros((len(p), len(lamps)))
-    for k, lamp in enumerate(lamps):
-        rays, value = kernels.to_lamp(
-            p,
-            facet,
-            sign,
-            met.rays,
-            met.source,
-            group,
-            surface.normal,
-            axes,
-            np.asarray(finish.alpha, float),
-            finish.form,
-            lamp.corners,
-            lamp.normal,
-            lamp.cdf,
-            lamp_areas([lamp])[0],
-            step,
-            seed + k + 0.37,
-        )
+def lobe_light(surface: Surface, lamps, at: AtLobes, *, seed=0):
+    """(n, lamps) what the lamps send straight into lobes, by one ray to each emitter, without rho_s.
+
+    It is the balance heuristic's share; the rays of the lobe bring the rest, see `lamp_found`.
+    """
+    places = GlossyArrays(at.p, at.facet, at.sign, at.group, at.met.rays, at.met.source)
+    light = np.zeros((len(at.p), len(lamps)))
+    for k, (lamp, area) in enumerate(zip(lamps, lamp_areas(lamps), strict=True)):
+        rays, value = kernels.to_lamp(places, at.lobes, surface.arrays, lamp.arrays, area, at.step, seed + k + 0.37)
         lit = np.flatnonzero(value > 0)
         if surface.n_occluders:
             value[lit[surface.shadows.occluded(rays[lit], 1 - 1e-4)]] = 0
-        light[:, k] = value * met.weight
+        light[:, k] = value * at.met.weight
     return light
 
 
 def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete):
     """Which emitter the ends of rays lie on (n,), -1: none, and the share (n,) that the balance heuristic gives them.
-    Rays that reached a lamp by no more than `complete` mirrors alone are not counted: mirrored lamps are."""
+
+    Rays that reached a lamp by no more than `complete` mirrors alone are not counted: mirrored lamps are.
+    """
     if not lamps:
         return np.full(len(met), -1), np.zeros(len(met))
     of = np.full(len(surface.normal), -1, np.int32)
@@ -135,9 +158,3 @@ def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete):
     density = np.where(which >= 0, met.t.astype(float), 0) ** 2 / np.maximum(along * lamp_areas(lamps)[which], 1e-300)
     share = 1 / (1 + np.where(np.isfinite(met.lobe), density / np.maximum(met.lobe, 1e-300), 0))
     return which, np.where(which >= 0, share, 0) * met.weight
-
-
-def add_lamps(D, mirrored, way, factor, n_lamps):
-    """Add the factors (R, n) of mirrored lamps to D, chain -> (R, L)."""
-    for k, lamp in enumerate(mirrored):
-        D.setdefault(int(way[k]), np.zeros((len(factor), n_lamps)))[:, lamp.lamp] += factor[:, k]

@@ -1,29 +1,48 @@
 """Compiled: rays from glossy surfaces to lamps."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit, prange
 from lib.given.rays_kernels import OFFSET
-from lib.light import ward_kernels as kernels
-from lib.light.paths_kernels import numbers
+from lib.light import ward_kernels as ward
+from lib.light.lamps_kernels import LampArrays, on_lamp
+from lib.light.paths_kernels import Lobes, numbers
+from lib.light.surface_kernels import SurfaceArrays
+
+
+class GlossyArrays(NamedTuple):
+    """Places on glossy surfaces (n,), and the rays that met them."""
+
+    p: np.ndarray  # (n, 3) local
+    facet: np.ndarray
+    sign: np.ndarray  # 1 front, -1 back
+    group: np.ndarray  # number of the specular group
+    rays: np.ndarray  # (n, 6) float32
+    source: np.ndarray  # the ray that began the way
 
 
 @njit(parallel=True)
-def to_lamp(p, facet, sign, view, source, group, normal, axes, alpha, form, corners, front, cdf, area, step, seed):
+def to_lamp(places: GlossyArrays, lobes: Lobes, surface: SurfaceArrays, lamp: LampArrays, area, step, seed):
+    """One ray from each place to the lamp, (n, 6) origin and vector, and what it brings into the lobe, (n,).
+
+    What it brings is for E = 1 and rho_s = 1; whether something stands on the way is not asked.
+
+    The value is that of the balance heuristic, whose other half are the rays of the lobe that find the lamp.
+    """
+    p, facet, sign, view = places.p, places.facet, places.sign, places.rays
+    normal, axes, corners, front = surface.normal, lobes.axes, lamp.corners, lamp.normal
     n = len(p)
     rays = np.zeros((n, 6), np.float32)
     value = np.zeros(n)
     for j in prange(n):
         f = facet[j]
-        u, v = numbers(source[j], step, seed)
-        k = 0
-        while k < len(cdf) - 1 and cdf[k] <= u:
-            k += 1
-        low = cdf[k - 1] if k > 0 else 0.0
-        r = np.sqrt(min(max((u - low) / (cdf[k] - low), 0.0), 1.0))
+        u, v = numbers(places.source[j], step, seed)
+        k, w0, w1, w2 = on_lamp(u, v, lamp.cdf)
         squared, ix, iy, iz, there, ox, oy, oz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for d in range(3):
-            target = (1 - r) * corners[k, 0, d] + r * (1 - v) * corners[k, 1, d] + r * v * corners[k, 2, d]
+            target = w0 * corners[k, 0, d] + w1 * corners[k, 1, d] + w2 * corners[k, 2, d]
             begin = p[j, d] + OFFSET * sign[j] * normal[f, d]
             x = target + OFFSET * front[k, d] - begin
             rays[j, d] = begin
@@ -40,11 +59,8 @@ def to_lamp(p, facet, sign, view, source, group, normal, axes, alpha, form, corn
             continue
         length = np.sqrt(squared)
         ix, iy, iz, there = ix / length, iy / length, iz / length, there / length
-        ax, ay = alpha[group[j], 0], alpha[group[j], 1]
+        ax, ay = lobes.alpha[places.group[j], 0], lobes.alpha[places.group[j], 1]
         density = squared / (there * area)
-        value[j] = (
-            kernels.value(form, ax, ay, ix, iy, iz, ox, oy, oz)
-            * iz
-            / (density + kernels.pdf(ax, ay, ix, iy, iz, ox, oy, oz))
-        )
+        reflected = ward.value(lobes.form, ax, ay, ix, iy, iz, ox, oy, oz)
+        value[j] = reflected * iz / (density + ward.pdf(ax, ay, ix, iy, iz, ox, oy, oz))
     return rays, value

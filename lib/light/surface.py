@@ -10,11 +10,17 @@ from lib.given import rays as ray_tools
 from lib.given.rays import Caster, Local
 from lib.given.rays_kernels import OFFSET
 from lib.light import surface_kernels as kernels
+from lib.light.surface_kernels import SurfaceArrays
+
+RAY_OUT = np.array([0.5377, 0.6339, 0.5560])  # no axis, no diagonal
 
 
 @dataclass(frozen=True)
 class Surface:
-    """The model in local coordinates, ready for rays."""
+    """The model in local coordinates, ready for rays. T triangles, F facets.
+
+    Side 2 f is the front of facet f, side 2 f + 1 its back.
+    """
 
     local: Local
     corners: np.ndarray  # (T, 3, 3) float64 local
@@ -31,9 +37,13 @@ class Surface:
     shadows: Caster  # facets that can occlude, lamps among them
     n_occluders: int  # facets that can; a lamp of one facet does not stand in its own light
     cast: np.ndarray  # (T, 3, 3) float64 local: corners as they are cast, solids a hair thinner
-    overlap: (
-        np.ndarray
-    )  # (F,) int8: of a solid that may reach into another: 1 where its inside is at the back, -1 at the front; else 0
+    # (F,) int8, of a solid that may reach into another: 1 where its inside is at the back, -1 at the front; else 0
+    overlap: np.ndarray
+
+    @property
+    def arrays(self) -> SurfaceArrays:
+        """For kernels."""
+        return SurfaceArrays(self.facet, self.normal, self.origin, self.axes, self.size, self.inside)
 
 
 def surface(model, lamps=()) -> Surface:
@@ -51,7 +61,8 @@ def surface(model, lamps=()) -> Surface:
     order = np.argsort(facet, kind="stable").astype(np.int64)
     start = np.searchsorted(facet[order], np.arange(len(normal) + 1)).astype(np.int64)
     origin, axes, size = kernels.frames(corners, order, start, normal)
-    # Solids are cast a hair thinner than they are: a ray inside a cabinet then meets the cabinet, not the wall that its back touches.
+    # Solids are cast a hair thinner than they are. A ray inside a cabinet then meets the cabinet, not the wall that the
+    # cabinet's back touches.
     thinner = 0.3 * OFFSET * (inside[0::2].astype(float) - inside[1::2])[:, None] * normal
     cast = corners + thinner[facet][:, None, :]
     return Surface(
@@ -79,106 +90,121 @@ def _inside(model, local, corners, facet, normal, lamp_facet):
     inside = np.zeros(2 * len(normal), bool)
     first = np.unique(facet, return_index=True)[1]
     middle = corners[first].mean(axis=1)
-    direction = np.array([0.5377, 0.6339, 0.5560])  # no axis, no diagonal
+    lit = np.flatnonzero(lamp_facet)
     for obj in np.flatnonzero(model.solid_objects()):
         mine = np.flatnonzero(model.facet_object == obj)
-        one = Caster(corners[np.isin(facet, mine)])
-
-        def odd(points):
-            r = np.hstack([points, np.broadcast_to(direction, points.shape)])
-            return one.crossings(r) % 2 == 1
-
-        lit = np.flatnonzero(lamp_facet)
-        if len(lit) and odd(middle[lit] + 4 * OFFSET * normal[lit]).any():
+        solid = Caster(corners[np.isin(facet, mine)])
+        if len(lit) and _enclosed(solid, middle[lit] + 4 * OFFSET * normal[lit]).any():
             continue  # a room: the lamp shines inside it
         for back in (0, 1):
-            inside[2 * mine + back] = odd(middle[mine] + (1 - 2 * back) * 4 * OFFSET * normal[mine])
+            inside[2 * mine + back] = _enclosed(solid, middle[mine] + (1 - 2 * back) * 4 * OFFSET * normal[mine])
     return inside
 
 
+def _enclosed(solid: Caster, points):
+    """(n,) bool: points (n, 3) inside a closed surface, from which a ray crosses it an odd number of times."""
+    return solid.crossings(np.hstack([points, np.broadcast_to(RAY_OUT, points.shape)])) % 2 == 1
+
+
 def _overlap(corners, facet, objects, inside):
-    """Facets of solids whose bounding box reaches into that of another solid, see Surface.overlap. Inside one of them a ray
-    may first meet the outside of the other; whether it started in a solid is then counted along the whole ray."""
+    """Surface.overlap, from the bounding boxes of the solids.
+
+    Inside one of two overlapping solids a ray may first meet the outside of the other. Whether it started in a solid
+    is then counted along the whole ray.
+    """
     turn = inside[1::2].astype(np.int8) - inside[0::2]
     solids = np.unique(np.asarray(objects)[turn != 0])
     owner = np.asarray(objects)[facet]
-    boxes = np.array([[c.min(axis=(0, 1)), c.max(axis=(0, 1))] for c in (corners[owner == o] for o in solids)]).reshape(
-        -1, 2, 3
-    )
-    reach = np.minimum(boxes[:, None, 1], boxes[None, :, 1]) - np.maximum(
-        boxes[:, None, 0], boxes[None, :, 0]
-    )  # (S, S, 3)
+    of_solids = (corners[owner == o] for o in solids)
+    boxes = np.array([[c.min(axis=(0, 1)), c.max(axis=(0, 1))] for c in of_solids]).reshape(-1, 2, 3)
+    low, high = boxes[:, 0], boxes[:, 1]
+    reach = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])  # (S, S, 3)
     meets = (reach > 4 * OFFSET).all(axis=2)
     np.fill_diagonal(meets, False)
     return np.where(np.isin(objects, solids[meets.any(axis=1)]), turn, 0).astype(np.int8)
 
 
 def _lift(corners, facet, normal, inside, last):
-    """Facets that lie on each other, a board drawn exactly on a wall or two sheets back to back, moved apart by two
-    ray offsets each: corners (T, 3, 3), and which sides are then wholly covered, (2 F,) bool.
+    """Move facets that lie on each other apart by two ray offsets each: a board on a wall, two sheets back to back.
 
-    The order is that of the index buffer: what turns its front to us wins, then the later one in the file (lamps
-    last of all). Rays that start on what is covered meet the covered side above them and are dropped, as in a solid.
-    The side of a solid that touches a wall stays: solids are cast thinner.
+    last : (F,) bool, facets that are drawn last.  Returns corners (T, 3, 3), and (2 F,) bool, the sides that are then
+    wholly covered.
+
+    The order is that of the index buffer: what turns its front to us wins, then the later one in the file, lamps last
+    of all. Rays that start on what is covered meet the covered side above them and are dropped, as in a solid. The
+    side of a solid that touches a wall stays: solids are cast thinner.
     """
     F = len(normal)
-    covered = np.zeros(2 * F, bool)
+    pairs = _coplanar_pairs(corners, facet, normal)
+    if len(pairs) == 0:
+        return corners, np.zeros(2 * F, bool)
+    pairs = _lower_first(pairs, last)
+    alike = np.einsum("ij,ij->i", normal[pairs[:, 0]], normal[pairs[:, 1]]) > 0
+    area = np.bincount(facet, triangle_areas(corners), F)
+    common = _common_areas(corners, facet, normal, pairs)
+    meet = common > 1e-6 * area[pairs].min(axis=1)
+    solid = inside[0::2] | inside[1::2]
+    touching = np.zeros(F, bool)
+    touching[pairs[meet & ~alike].ravel()] = True
+    level = np.zeros(F, int)
+    hidden = np.zeros(2 * F)
+    for (i, j), same_way, shared in zip(pairs[meet], alike[meet], common[meet], strict=True):
+        if same_way and not (solid[j] and touching[j]):
+            level[j] = max(level[j], level[i] + 1)
+            hidden[2 * j + 1] += shared / area[j]
+        elif not same_way and not solid[i] and not solid[j]:
+            level[[i, j]] = np.maximum(level[[i, j]], 1)
+            hidden[2 * i + 1] += shared / area[i]
+            hidden[2 * j + 1] += shared / area[j]
+    return corners + (2 * OFFSET * level[:, None] * normal)[facet][:, None, :], hidden > 0.99
+
+
+def _coplanar_pairs(corners, facet, normal):
+    """(K, 2) facets in one plane whose bounding boxes overlap."""
+    F = len(normal)
     first = np.unique(facet, return_index=True)[1]
-    offset = np.einsum("ij,ij->i", corners[first, 0], normal)
+    height = np.einsum("ij,ij->i", corners[first, 0], normal)
     turn = np.where(normal[np.arange(F), np.abs(normal).argmax(axis=1)] < 0, -1.0, 1.0)
     low, high = np.full((F, 3), np.inf), np.full((F, 3), -np.inf)
     np.minimum.at(low, facet, corners.min(axis=1))
     np.maximum.at(high, facet, corners.max(axis=1))
-    axis = int(np.argmax(low.std(axis=0) / np.maximum((high - low).mean(axis=0), OFFSET)))  # where boxes overlap least
-    pairs = kernels.coplanar_pairs(
-        np.argsort(low[:, axis], kind="stable"), axis, low, high, np.column_stack([normal, offset]) * turn[:, None]
-    )
-    if len(pairs) == 0:
-        return corners, covered
-    rank = np.lexsort((np.arange(F), last)).argsort()
-    solid = inside[0::2] | inside[1::2]
-    area = np.bincount(
-        facet, 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1), F
-    )
-    order = np.argsort(facet, kind="stable")
-    start = np.searchsorted(facet[order], np.arange(F + 1))
-    level = np.zeros(F, int)
-    hidden = np.zeros(2 * F)
+    # along the axis where the boxes overlap least
+    axis = int(np.argmax(low.std(axis=0) / np.maximum((high - low).mean(axis=0), OFFSET)))
+    order = np.argsort(low[:, axis], kind="stable")
+    return kernels.coplanar_pairs(order, axis, low, high, np.column_stack([normal, height]) * turn[:, None])
+
+
+def _lower_first(pairs, last):
+    """The pairs (K, 2) with the facet that lies below first, sorted by the one above."""
+    rank = np.lexsort((np.arange(len(last)), last)).argsort()
     swap = rank[pairs[:, 0]] > rank[pairs[:, 1]]
     pairs[swap] = pairs[swap][:, ::-1]
-    pairs = pairs[np.argsort(rank[pairs[:, 1]], kind="stable")]
-    alike = np.einsum("ij,ij->i", normal[pairs[:, 0]], normal[pairs[:, 1]]) > 0
-    common = np.array(
-        [
-            kernels.common_area(
-                corners[order[start[i] : start[i + 1]]], corners[order[start[j] : start[j + 1]]], normal[i]
-            )
-            for i, j in pairs
-        ]
-    )
-    meet = common > 1e-6 * area[pairs].min(axis=1)
-    touching = np.zeros(F, bool)
-    touching[pairs[meet & ~alike].ravel()] = True
-    for (i, j), alike, common in zip(pairs[meet], alike[meet], common[meet]):
-        if alike and not (solid[j] and touching[j]):
-            level[j] = max(level[j], level[i] + 1)
-            hidden[2 * j + 1] += common / area[j]
-        elif not alike and not solid[i] and not solid[j]:
-            level[[i, j]] = np.maximum(level[[i, j]], 1)
-            hidden[2 * i + 1] += common / area[i]
-            hidden[2 * j + 1] += common / area[j]
-    covered = hidden > 0.99
-    return corners + (2 * OFFSET * level[:, None] * normal)[facet][:, None, :], covered
+    return pairs[np.argsort(rank[pairs[:, 1]], kind="stable")]
 
 
-def facet_areas(surface):
-    v = surface.corners
-    a = 0.5 * np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
-    return np.bincount(surface.facet, a, minlength=len(surface.normal))
+def _common_areas(corners, facet, normal, pairs):
+    """(K,) area that the two facets of each pair share."""
+    order = np.argsort(facet, kind="stable")
+    start = np.searchsorted(facet[order], np.arange(len(normal) + 1))
+    of = lambda f: corners[order[start[f] : start[f + 1]]]
+    return np.array([kernels.common_area(of(i), of(j), normal[i]) for i, j in pairs])
+
+
+def triangle_areas(corners):
+    """(T,) areas of triangles (T, 3, 3)."""
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+
+
+def facet_areas(surface: Surface):
+    """(F,) local."""
+    return np.bincount(surface.facet, triangle_areas(surface.corners), minlength=len(surface.normal))
 
 
 def buried(surface: Surface, rays, triangle):
-    """(k,) int: rays that start in a solid and yet meet an outer side first, that of another solid which overlaps the first."""
+    """(k,) int: rays that start in a solid and yet meet an outer side first, of another solid that overlaps it.
+
+    rays : (n, 6) float32;  triangle : (n,) the first that each meets, -1
+    """
     if not surface.overlap.any():
         return np.zeros(0, int)
     doubtful = np.flatnonzero((triangle >= 0) & (surface.overlap[surface.facet[triangle]] != 0))
@@ -200,7 +226,10 @@ def start_inside(surface: Surface, rays, triangle):
 
 
 def covered(surface: Surface, p, normal):
-    """(M,) bool: points p (M, 3) of facets that lie inside a solid, by a ray straight up along their side's normal (M, 3)."""
+    """(M,) bool: points of facets that lie inside a solid, by a ray straight up.
+
+    p, normal : (M, 3) local, the normal of the point's side
+    """
     if not surface.inside.any():
         return np.zeros(len(p), bool)
     up = np.hstack([p + OFFSET * normal, normal]).astype(np.float32)

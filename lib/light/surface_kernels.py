@@ -1,9 +1,22 @@
-"""Compiled: bounding rectangles of facets, and facets that lie on each other."""
+"""Compiled: what kernels need of a surface, bounding rectangles of facets, and facets that lie on each other."""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from lib.core.compiled import njit
 from lib.given.rays_kernels import OFFSET
+
+
+class SurfaceArrays(NamedTuple):
+    """What kernels need of a Surface; see there."""
+
+    facet: np.ndarray  # (T,) int32
+    normal: np.ndarray  # (F, 3)
+    origin: np.ndarray  # (F, 3)
+    axes: np.ndarray  # (F, 2, 3)
+    size: np.ndarray  # (F, 2)
+    inside: np.ndarray  # (2 F,) bool
 
 
 @njit()
@@ -51,7 +64,10 @@ def frames(corners, order, start, normal):
 
 @njit()
 def coplanar_pairs(order, axis, low, high, plane):
-    """(K, 2): facets in one plane whose bounding boxes overlap, by a sweep along one axis. order : facets by low[:, axis]"""
+    """(K, 2): facets in one plane whose bounding boxes overlap, by a sweep along one axis.
+
+    order : (F,) facets by low[:, axis];  low, high : (F, 3);  plane : (F, 4) normal and height, turned alike
+    """
     found = []
     for a in range(len(order)):
         i = order[a]

@@ -34,10 +34,12 @@ def value(form, ax, ay, ix, iy, iz, ox, oy, oz):
 
 @njit()
 def sample(ax, ay, ox, oy, oz, u, v):
-    """The direction i that o is mirrored into by a half vector h of density exp(-e) / (pi ax ay cos^3 h) per solid angle.
+    """The direction i into which o is mirrored by a half vector h of density exp(-e) / (pi ax ay cos^3 h).
 
-    u, v : uniform in [0, 1).  Ward's tan^2 = -ln(u) / (cos^2 phi / ax^2 + sin^2 phi / ay^2) means that the slopes of h are normal
-    deviates, so both come without any arc tangent whose quadrant could be missed: r = sqrt(-ln u), (p, q) = r (ax cos 2 pi v, ay sin 2 pi v).
+    u, v : uniform in [0, 1)
+
+    Ward's tan^2 = -ln(u) / (cos^2 phi / ax^2 + sin^2 phi / ay^2) means that the slopes of h are normal deviates:
+    r = sqrt(-ln u), (p, q) = r (ax cos 2 pi v, ay sin 2 pi v). No arc tangent is needed whose quadrant could be missed.
     i may lie below the horizon: nothing is reflected there, and the sample counts with weight 0.
     """
     r = np.sqrt(-np.log(min(max(u, 1e-300), 1.0)))
@@ -48,9 +50,10 @@ def sample(ax, ay, ox, oy, oz, u, v):
 
 @njit()
 def pdf(ax, ay, ix, iy, iz, ox, oy, oz):
-    """Density of `sample` in i per solid angle, (h.h) / |h.z|^3 exp(-e) / (2 pi ax ay); its integral over the whole sphere is one.
+    """Density of `sample` in i per solid angle: (h.h) / |h.z|^3 exp(-e) / (2 pi ax ay).
 
-    Above the horizon it is bounded. Below, where i nears -o, it is not (h turns in the plane across o); 0 stands for it there.
+    Its integral over the whole sphere is one. Above the horizon it is bounded. Below, where i nears -o, it is not, as h
+    turns in the plane across o; 0 stands for it there.
     """
     hz = abs(iz + oz)
     if not hz > HORIZON:
@@ -64,9 +67,12 @@ def pdf(ax, ay, ix, iy, iz, ox, oy, oz):
 
 @njit()
 def weight(form, ax, ay, ix, iy, iz, ox, oy, oz):
-    """f cos_i / pdf: what a sample of light from i counts, per rho_s. The lobe cancels, so it neither depends on alpha nor underflows.
+    """f cos_i / pdf: what a sample of light from i counts, per rho_s.
 
-    bounded: 2 / (1 + cos_o / cos_i), never above 2;  ward: sqrt(cos_i / cos_o) h.z^3 / (2 h.h);  duer: h.z^3 / (2 cos_o h.h).
+    The lobe cancels, so that the weight neither depends on alpha nor underflows:
+    bounded 2 / (1 + cos_o / cos_i), never above 2
+    ward    sqrt(cos_i / cos_o) h.z^3 / (2 h.h)
+    duer    h.z^3 / (2 cos_o h.h)
     """
     if not (iz > HORIZON and oz > HORIZON):
         return 0.0
@@ -82,8 +88,9 @@ def weight(form, ax, ay, ix, iy, iz, ox, oy, oz):
 
 @njit()
 def d_log_value(form, ax, ay, ix, iy, iz, ox, oy, oz):
-    """(d ln f / d ax, d ln f / d ay, d ln f / d phi), phi turning the tangent about the normal, x towards y; 0 below the horizon.
+    """(d ln f / d ax, d ln f / d ay, d ln f / d phi); phi turns the tangent about the normal, x towards y.
 
+    0 below the horizon.
     The same for every form. For ax = ay the last is 0: the fit must not be asked for a direction there.
     """
     if not (iz > HORIZON and oz > HORIZON):
@@ -97,8 +104,8 @@ def d_log_value(form, ax, ay, ix, iy, iz, ox, oy, oz):
 def frame(normal, tangent):
     """Two unit axes in the plane across a unit normal, as tuples: x along the tangent's projection, y = normal cross x.
 
-    normal, tangent : (3,); the tangent of any length. Where it is null, not a number, or within 1e-6 of the normal's direction, the
-    coordinate axis that is farthest from the normal takes its place.
+    normal, tangent : (3,); the tangent of any length. Where it is null, not a number, or within 1e-6 of the normal's
+    direction, the coordinate axis that is farthest from the normal takes its place.
 
     >>> frame(np.array([0., 0., 1.]), np.array([0., 2., 5.]))
     ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
@@ -128,6 +135,7 @@ def frame(normal, tangent):
 
 @njit()
 def albedo_integral(form, ax, ay, theta, phi, node, share):
+    """See `albedo` of lib/light/ward.py.  node, share : of a quadrature on [0, 1]"""
     ox, oy, oz = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)
     if not oz > HORIZON:
         return 0.0
@@ -156,6 +164,7 @@ def albedo_integral(form, ax, ay, theta, phi, node, share):
 
 @njit()
 def value_each(form, ax, ay, i, o):
+    """`value` of directions i, o (n, 3) -> (n,)"""
     result = np.empty(len(i))
     for k in range(len(i)):
         result[k] = value(form, ax, ay, i[k, 0], i[k, 1], i[k, 2], o[k, 0], o[k, 1], o[k, 2])
@@ -164,6 +173,7 @@ def value_each(form, ax, ay, i, o):
 
 @njit()
 def pdf_each(ax, ay, i, o):
+    """`pdf` of directions i, o (n, 3) -> (n,)"""
     result = np.empty(len(i))
     for k in range(len(i)):
         result[k] = pdf(ax, ay, i[k, 0], i[k, 1], i[k, 2], o[k, 0], o[k, 1], o[k, 2])
@@ -172,6 +182,7 @@ def pdf_each(ax, ay, i, o):
 
 @njit()
 def weight_each(form, ax, ay, i, o):
+    """`weight` of directions i, o (n, 3) -> (n,)"""
     result = np.empty(len(i))
     for k in range(len(i)):
         result[k] = weight(form, ax, ay, i[k, 0], i[k, 1], i[k, 2], o[k, 0], o[k, 1], o[k, 2])
@@ -180,6 +191,7 @@ def weight_each(form, ax, ay, i, o):
 
 @njit()
 def d_log_value_each(form, ax, ay, i, o):
+    """`d_log_value` of directions i, o (n, 3) -> (n, 3)"""
     result = np.empty((len(i), 3))
     for k in range(len(i)):
         result[k] = d_log_value(form, ax, ay, i[k, 0], i[k, 1], i[k, 2], o[k, 0], o[k, 1], o[k, 2])
@@ -188,6 +200,7 @@ def d_log_value_each(form, ax, ay, i, o):
 
 @njit()
 def sample_each(ax, ay, o, u, v):
+    """`sample` from o (3,) for u, v (n,) -> (n, 3)"""
     result = np.empty((len(u), 3))
     for k in range(len(u)):
         result[k] = sample(ax, ay, o[0], o[1], o[2], u[k], v[k])

@@ -1,5 +1,7 @@
 """Compiled: albedos resampled from the photograph into texels."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit, prange
@@ -7,63 +9,102 @@ from lib.core.compiled import njit, prange
 REACH = 5  # pixels: so far from its pixels a texture is continued
 
 
-@njit(parallel=True)
-def resample(H, du, dv, x0, y0, a, variance, near, constant, tau2, correlation, albedo, known, left):
-    """Fills albedo (nu, nv, C), known and the variance that is left (nu, nv) from the window's pixels, whose first is (x0, y0).
+class Grid(NamedTuple):
+    """The texels of a facet, and where they are in the window of the photograph that is used."""
 
-    a, variance : (h, w, C) albedo of the pixels and its noise, inf: unknown;  near : (h, w) px to the next known one
-    """
-    nu, nv, C = albedo.shape
-    h, w = near.shape
+    H: np.ndarray  # (3, 3) of (u, v, 1), local lengths, to pixels
+    nu: int
+    nv: int
+    du: float  # width of a texel, local
+    dv: float
+    x0: int  # the window's first pixel
+    y0: int
+
+
+class Samples(NamedTuple):
+    """Albedos of the window's pixels."""
+
+    a: np.ndarray  # (h, w, C)
+    variance: np.ndarray  # (h, w, C) of its noise, inf: unknown
+    near: np.ndarray  # (h, w) px to the next known pixel
+
+
+class Prior(NamedTuple):
+    """What is known of the texture before a pixel is looked at."""
+
+    constant: np.ndarray  # (C,) mean
+    tau2: np.ndarray  # (C,) variance
+    correlation: np.ndarray  # (C, REACH + 2) at distances of 0, 1, ... pixels
+
+
+@njit(parallel=True)
+def resample(grid: Grid, samples: Samples, prior: Prior):
+    """albedo (nu, nv, C), known (nu, nv) and the variance that is left (nu, nv), see lib/picture/albedo_maps.py."""
+    constant, tau2, correlation = prior
+    nu, nv, C = grid.nu, grid.nv, samples.a.shape[2]
+    albedo = np.empty((nu, nv, C), np.float32)
+    known, left = np.zeros((nu, nv), np.float32), np.zeros((nu, nv), np.float32)
     for i in prange(nu):
-        u = (i + 0.5) * du
-        total, mean, noise, share, value, told = (
-            np.empty(C),
-            np.empty(C),
-            np.empty(C),
-            np.empty(C),
-            np.empty(C),
-            np.empty(C),
-        )
+        value, told = np.empty(C), np.empty(C)
         for j in range(nv):
-            v = (j + 0.5) * dv
-            for c in range(C):
-                total[c], mean[c], noise[c], share[c], value[c], told[c] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            z = H[2, 0] * u + H[2, 1] * v + H[2, 2]
-            x, y, rx, ry = -1e9, -1e9, 1.0, 1.0
-            if z > 0:
-                x, y = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / z, (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / z
-                rx = max(1.0, np.hypot((H[0, 0] - x * H[2, 0]) * du, (H[0, 1] - x * H[2, 1]) * dv) / z)
-                ry = max(1.0, np.hypot((H[1, 0] - y * H[2, 0]) * du, (H[1, 1] - y * H[2, 1]) * dv) / z)
-                x, y = x - x0, y - y0
-            if -0.5 <= x < w - 0.5 and -0.5 <= y < h - 0.5 and near[int(y + 0.5), int(x + 0.5)] <= REACH + rx + ry:
-                whole = ladder(x, rx) * ladder(y, ry)  # the tent, and how much of it stands on known pixels
-                for b in range(max(0, int(np.ceil(y - ry))), min(h - 1, int(np.floor(y + ry))) + 1):
-                    for d in range(max(0, int(np.ceil(x - rx))), min(w - 1, int(np.floor(x + rx))) + 1):
-                        tent = (1 - abs(d - x) / rx) * (1 - abs(b - y) / ry)
-                        for c in range(C):
-                            if variance[b, d, c] < np.inf:
-                                share[c] += tent
-                                add(tent, a[b, d, c], variance[b, d, c], tau2[c], total, mean, noise, c)
-                patchy = False
-                for c in range(C):
-                    share[c] = min(1.0, share[c] / whole)
-                    patchy |= share[c] < 1 - 1e-6
-                    if total[c] > 0:
-                        k = trust(total[c], noise[c], tau2[c]) * share[c]
-                        value[c], told[c] = k * (mean[c] / total[c] - constant[c]), k
-                if patchy:
-                    from_afar(x, y, a, variance, tau2, constant, correlation, share, value, told)
-            known[i, j], left[i, j] = 0.0, 0.0
+            value[:], told[:] = 0.0, 0.0
+            texel(grid, i, j, samples, prior, value, told)
             for c in range(C):
                 albedo[i, j, c] = constant[c] + value[c]
                 told[c] *= 0.5 * (1 + correlation[c, 1])
                 known[i, j] += told[c] / C
                 left[i, j] += tau2[c] * max(0.0, 1 - told[c]) / C
+    return albedo, known, left
 
 
 @njit()
-def ladder(x, r):
+def texel(grid: Grid, i, j, samples: Samples, prior: Prior, value, told):
+    """Write into value (C,) the albedo of a texel less the constant, and into told (C,) the share that pixels tell."""
+    H, u, v = grid.H, (i + 0.5) * grid.du, (j + 0.5) * grid.dv
+    z = H[2, 0] * u + H[2, 1] * v + H[2, 2]
+    if not z > 0:
+        return
+    x, y = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / z, (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / z
+    rx = max(1.0, np.hypot((H[0, 0] - x * H[2, 0]) * grid.du, (H[0, 1] - x * H[2, 1]) * grid.dv) / z)
+    ry = max(1.0, np.hypot((H[1, 0] - y * H[2, 0]) * grid.du, (H[1, 1] - y * H[2, 1]) * grid.dv) / z)
+    x, y = x - grid.x0, y - grid.y0
+    h, w = samples.near.shape
+    if not (-0.5 <= x < w - 0.5 and -0.5 <= y < h - 0.5):
+        return
+    if samples.near[int(y + 0.5), int(x + 0.5)] <= REACH + rx + ry:
+        share = np.zeros(len(value))
+        under_tent(x, y, rx, ry, samples, prior, share, value, told)
+        if (share < 1 - 1e-6).any():
+            from_afar(x, y, samples, prior, share, value, told)
+
+
+@njit()
+def under_tent(x, y, rx, ry, samples: Samples, prior: Prior, share, value, told):
+    """Add to value and told (C,) what the known pixels under the tent about (x, y) say.
+
+    rx, ry : half widths of the tent, px;  share : (C,) how much of the tent stands on known pixels, written
+    """
+    a, variance, _ = samples
+    constant, tau2, _ = prior
+    h, w, C = a.shape
+    total, mean, noise = np.zeros(C), np.zeros(C), np.zeros(C)
+    for b in range(max(0, int(np.ceil(y - ry))), min(h - 1, int(np.floor(y + ry))) + 1):
+        for d in range(max(0, int(np.ceil(x - rx))), min(w - 1, int(np.floor(x + rx))) + 1):
+            tent = (1 - abs(d - x) / rx) * (1 - abs(b - y) / ry)
+            for c in range(C):
+                if variance[b, d, c] < np.inf:
+                    share[c] += tent
+                    add(tent, a[b, d, c], variance[b, d, c], tau2[c], total, mean, noise, c)
+    whole = tent_sum(x, rx) * tent_sum(y, ry)
+    for c in range(C):
+        share[c] = min(1.0, share[c] / whole)
+        if total[c] > 0:
+            k = trust(total[c], noise[c], tau2[c]) * share[c]
+            value[c], told[c] = k * (mean[c] / total[c] - constant[c]), k
+
+
+@njit()
+def tent_sum(x, r):
     """Sum of the tent of half width r >= 1 about x over all whole numbers; 1 for r = 1."""
     s = 0.0
     for k in range(int(np.ceil(x - r)), int(np.floor(x + r)) + 1):
@@ -73,7 +114,10 @@ def ladder(x, r):
 
 @njit()
 def add(weight, a, variance, tau2, total, mean, noise, c):
-    """A pixel counts by its distance, and less where its noise is large against the texture: next to a good one it then does no harm."""
+    """Count a pixel by its distance, and less where its noise is large against the texture's variance.
+
+    Next to a good pixel a noisy one then does no harm.  total, mean, noise : (C,), in place
+    """
     weight *= tau2 / (tau2 + variance) if variance > 0 else 1.0
     total[c] += weight
     mean[c] += weight * a
@@ -82,13 +126,19 @@ def add(weight, a, variance, tau2, total, mean, noise, c):
 
 @njit()
 def trust(total, noise, tau2):
+    """The best weight k of a mean, from its weights' sum and the noise in it."""
     s2 = noise / (total * total)
     return tau2 / (tau2 + s2) if tau2 > 0 else 0.0
 
 
 @njit()
-def from_afar(x, y, a, variance, tau2, constant, correlation, share, value, told):
-    """Adds to value and told (C,) what the known pixels within REACH say of a place, for the part of its tent (1 - share) that stands on none."""
+def from_afar(x, y, samples: Samples, prior: Prior, share, value, told):
+    """Add to value and told (C,) what the known pixels within REACH say of (x, y).
+
+    share : (C,) of the tent that stands on known pixels; the rest of it takes its value from afar
+    """
+    a, variance, _ = samples
+    constant, tau2, correlation = prior
     h, w, C = a.shape
     total, mean, noise, nearest = np.zeros(C), np.zeros(C), np.zeros(C), np.full(C, np.inf)
     for b in range(max(0, int(np.ceil(y - REACH - 1))), min(h - 1, int(np.floor(y + REACH + 1))) + 1):
@@ -120,7 +170,10 @@ def from_afar(x, y, a, variance, tau2, constant, correlation, share, value, told
 
 @njit()
 def inside_share(uv, nu, nv):
-    """(nu, nv) float32: the share of each texel's 4 x 4 points that lie in one of the triangles uv (T, 3, 2), in parts of the rectangle."""
+    """(nu, nv) float32: the share of each texel's 4 x 4 points that lie in a triangle.
+
+    uv : (T, 3, 2) the triangles, in parts of the rectangle
+    """
     count = np.zeros((4 * nu, 4 * nv), np.bool_)
     for t in range(len(uv)):
         px, py = uv[t, :, 0] * 4 * nu - 0.5, uv[t, :, 1] * 4 * nv - 0.5
@@ -141,6 +194,7 @@ def inside_share(uv, nu, nv):
 
 @njit()
 def bilinear_many(albedo, uv):
+    """(M, C) `bilinear` at uv (M, 2)."""
     result = np.empty((len(uv), albedo.shape[2]))
     for m in range(len(uv)):
         bilinear(albedo, uv[m, 0], uv[m, 1], result[m])

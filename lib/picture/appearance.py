@@ -1,4 +1,4 @@
-"""How surfaces and lamps look, as arrays that a rendering multiplies: what materials.json says, for the groups of one model."""
+"""How surfaces and lamps look, as arrays that a rendering multiplies: materials.json for the groups of one model."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from lib.picture import albedo_maps
 class Appearance:
     """G groups, L lamps, C channels, M groups that are mirrors or glossy.
 
-    rho : (G, C) diffuse reflectance;  E : (L, C) emittance;  finish, rho_s : of M groups, (M, C); None where there are none
-    maps : {facet: AlbedoMap}, which stand for rho
+    rho : (G, C) diffuse reflectance;  E : (L, C) emittance
+    finish, rho_s : of the M groups, (M, C); None where there are none;  maps : {facet: AlbedoMap}, which stand for rho
     """
 
     rho: np.ndarray
@@ -40,41 +40,53 @@ def read(path, groups, lamps, channels, n_facets):
     BadInput: what cannot be rendered, one line for each value.
     """
     found = materials_file.read(path)
-    problems, warnings = [], []
+    problems = [f"{path}: {problem}" for problem in _problems(found, groups, lamps)]
+    if problems:
+        raise BadInput(*problems)
     rho, E = np.zeros((len(groups), channels)), np.zeros((len(lamps), channels))
-    specular = []
+    specular, warnings = [], []
     for g, name in enumerate(groups):
         if name in lamps:
             continue
-        if name not in found.groups:
-            problems.append(f"{path}: group {name!r}: missing")
-            continue
         group = found.groups[name]
-        if group.is_mirror or group.kind == "glossy":
-            needed = ("rho_s",) if group.is_mirror else ("rho_s", "alpha")
-            missing = [key for key in needed if getattr(group, key) is None]
-            problems += [f"{path}: group {name!r}: {key} = None: a {group.kind} group needs it" for key in missing]
-            if not missing:
-                specular.append((g, group))
+        if _is_specular(group):
+            specular.append((g, group))
         if group.in_balance is None:
             warnings.append(f"group {name!r} has no reflectance, measured or assumed: it is rendered black")
         else:
             rho[g] = group.in_balance[:channels]
     for k, name in enumerate(lamps):
-        lamp = found.lamps.get(name)
-        if lamp is None or lamp.emittance is None:
-            problems.append(f"{path}: lamp {name!r}: {'missing' if lamp is None else 'emittance = None'}")
-            continue
+        lamp = found.lamps[name]
         E[k] = lamp.emittance[:channels]
         if lamp.rho_d is not None:  # a lamp that is a reference too reflects that much
             rho[groups.index(name)] = lamp.rho_d[:channels]
-    transfer = found.transfer
-    if transfer.kind is None or (transfer.kind == "gamma" and not transfer.gamma):
-        problems.append(f"{path}: transfer: {'kind' if transfer.kind is None else 'gamma'}: missing")
-    if problems:
-        raise BadInput(*problems)
     finish, rho_s = _finish(specular, channels)
     return Appearance(rho, E, finish, rho_s, _maps(path, found, n_facets, channels)), found, warnings
+
+
+def _is_specular(group):
+    return group.is_mirror or group.kind == "glossy"
+
+
+def _problems(found, groups, lamps):
+    """Yields what is missing for a rendering, "field: what"."""
+    for name in groups:
+        group = found.groups.get(name)
+        if name in lamps:
+            continue
+        if group is None:
+            yield f"group {name!r}: missing"
+        elif _is_specular(group):
+            needed = ("rho_s",) if group.is_mirror else ("rho_s", "alpha")
+            missing = [key for key in needed if getattr(group, key) is None]
+            yield from (f"group {name!r}: {key} = None: a {group.kind} group needs it" for key in missing)
+    for name in lamps:
+        lamp = found.lamps.get(name)
+        if lamp is None or lamp.emittance is None:
+            yield f"lamp {name!r}: {'missing' if lamp is None else 'emittance = None'}"
+    transfer = found.transfer
+    if transfer.kind is None or (transfer.kind == "gamma" and not transfer.gamma):
+        yield f"transfer: {'kind' if transfer.kind is None else 'gamma'}: missing"
 
 
 def _finish(specular, channels):

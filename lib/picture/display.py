@@ -1,6 +1,6 @@
 """§4.3 From the linear picture to the displayed one, and how far it is from the photograph.
 
-    shown = Finish(transfer, photograph.values, group, pure)(B)      # any transfer of scene.yaml
+    shown = finished(B, kind, photograph, group, pure, gamma)      # any transfer of scene.yaml
     rmse(shown, photograph), ciede2000(shown, photograph)
 
 `gamma`, `linear` and `srgb` are functions of B alone. The paper's other candidates look at the photograph and are
@@ -10,18 +10,27 @@ right), `histogram` and `histogram_per_group` (figure 4.5).
 
 from __future__ import annotations
 
+import warnings
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.given.transfer import Transfer
 
 KINDS = ("gamma", "linear", "srgb", "linear_per_group", "histogram", "histogram_per_group")
+NOTES = {
+    "linear_per_group": "[min, max] of each group and channel taken to the photograph's",
+    "histogram": "one T = E2^-1(E1(B)) for all channels",
+    "histogram_per_group": "T = E2^-1(E1(B)) per group and channel",
+}
 
 
 def finished(B, kind, photograph, group, pure, gamma=1.0):
     """Display values in [0, 1], (H, W, C).
 
-    B : (H, W, C) linear;  photograph : (H, W, C) display;  group : (H, W) int, -1 = nothing
+    B : (H, W, C) linear;  kind : of KINDS;  photograph : (H, W, C) display;  group : (H, W) int, -1 = nothing
     pure : (H, W) bool, pixels that show one facet: they alone say what a group's values are
+    gamma : of the kind `gamma`
     """
     if kind == "linear":
         return np.clip(B, 0, 1)
@@ -68,8 +77,6 @@ def rmse(a, b):
 
 def load_colour():
     """colour-science, which takes a second to import and grumbles about optional packages."""
-    import warnings
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour
@@ -109,66 +116,73 @@ def scores(shown, photograph, group, groups):
 def transfer_models(B, photograph, group, pure, kind, gamma, fitted):
     """What each transfer function of the paper leaves (figures 4.4-4.6): a list of {kind, rmse, rmse_refitted, note}.
 
-    `rmse` is of the same linear picture B in every row. `rmse_refitted` is after each group's radiosities were multiplied
-    by the factor (per channel) that suits that transfer best: its reflectances fitted again, at fixed light. That of the
-    candidates that look at the photograph is as under `linear`, as the paper has it.
     kind, gamma : of the fit;  fitted : (H, W) bool, pixels that count (no lamps)
+
+    `rmse` is of the same linear picture B in every row. `rmse_refitted` is after each group's radiosities were
+    multiplied by the factor (per channel) that suits that transfer best: its reflectances fitted again, at fixed light.
+    For the candidates that look at the photograph that factor is the one for `linear`, as the paper has it.
     """
-    own = kind if kind in ("gamma", "srgb") else "linear"
-    notes = {
-        "linear_per_group": "[min, max] of each group and channel taken to the photograph's",
-        "histogram": "one T = E2^-1(E1(B)) for all channels",
-        "histogram_per_group": "T = E2^-1(E1(B)) per group and channel",
-    }
+    own = _under(kind)
     best = gamma if kind == "gamma" else _best_gamma(B, photograph, fitted)
     samples = _samples(B, photograph, group, fitted)
+    candidates = [("gamma", best, f"gamma {best:.4g}"), ("gamma", 2.2, "given gamma 2.2")]
+    candidates += [(name, 1.0, NOTES.get(name, "")) for name in KINDS[1:]]
     rows, refitted = [], {}
-    for name, g, text in [
-        ("gamma", best, f"gamma {best:.4g}"),
-        ("gamma", 2.2, "given gamma 2.2"),
-        *((k, 1.0, notes.get(k, "")) for k in KINDS[1:]),
-    ]:
-        under = name if name in ("gamma", "srgb") else "linear"
+    for name, g, note in candidates:
+        under = _under(name)
         if (under, g) not in refitted:
             refitted[under, g] = B * _factors(samples, under, g)[np.maximum(group, 0)]
-        if under != own or (name == "gamma" and g != gamma):
-            text += f"{'; ' if text else ''}reflectances fitted under {own}, refitted under {under}"
-        else:
-            text += f"{'; ' if text else ''}the transfer of the fit"
+        error = lambda picture, name=name, g=g: rmse(finished(picture, name, photograph, group, pure, g), photograph)
+        other = under != own or (name == "gamma" and g != gamma)
+        how = f"reflectances fitted under {own}, refitted under {under}" if other else "the transfer of the fit"
         rows.append(
             {
                 "kind": name,
-                "rmse": rmse(finished(B, name, photograph, group, pure, g), photograph),
-                "rmse_refitted": rmse(finished(refitted[under, g], name, photograph, group, pure, g), photograph),
-                "note": text,
+                "rmse": error(B),
+                "rmse_refitted": error(refitted[under, g]),
+                "note": f"{note}; {how}" if note else how,
             }
         )
     return rows
 
 
+def _under(kind):
+    """The transfer function under which reflectances are fitted for a kind."""
+    return kind if kind in ("gamma", "srgb") else "linear"
+
+
+class Sample(NamedTuple):
+    """Pixels of one group: B and photograph (n, C)."""
+
+    B: np.ndarray
+    photograph: np.ndarray
+
+
 def _samples(B, photograph, group, fitted, most=2000):
-    """[(radiosities (n, C), photograph (n, C))] of each group up to the last that is seen, at most so many pixels of each."""
+    """[Sample] of each group up to the last that is seen, of at most about so many pixels each."""
     y, x = np.nonzero(fitted)
     order = np.argsort(group[y, x], kind="stable")
     y, x = y[order], x[order]
     start = np.searchsorted(group[y, x], np.arange(int(group.max(initial=0)) + 2))
-    chosen = [slice(a, b, max(1, (b - a) // most)) for a, b in zip(start[:-1], start[1:])]
-    return [(B[y[s], x[s]], photograph[y[s], x[s]]) for s in chosen]
+    chosen = [slice(a, b, max(1, (b - a) // most)) for a, b in zip(start[:-1], start[1:], strict=True)]
+    return [Sample(B[y[s], x[s]], photograph[y[s], x[s]]) for s in chosen]
 
 
 def _factors(samples, kind, gamma):
-    """(G, C) factors of the groups' radiosities for the least squares of the display values: Gauss-Newton on their logarithms."""
-    result = np.ones((len(samples), samples[0][0].shape[1]))
-    for g, (b, want) in enumerate(samples):
-        if not len(b):
+    """(G, C) factors of the groups' radiosities for the least squares of the display values.
+
+    Gauss-Newton on their logarithms.
+    """
+    result = np.ones((len(samples), samples[0].B.shape[1]))
+    for g, (B, want) in enumerate(samples):
+        if not len(B):
             continue
-        log = np.zeros(b.shape[1])
+        log = np.zeros(B.shape[1])
         for _ in range(8):
-            low, high = (finished(b * np.exp(log + h), kind, None, None, None, gamma) for h in (-1e-4, 1e-4))
+            low, high = (finished(B * np.exp(log + h), kind, None, None, None, gamma) for h in (-1e-4, 1e-4))
             slope = (high - low) / 2e-4
-            step = np.clip(
-                ((want - (low + high) / 2) * slope).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-12), -1, 1
-            )
+            towards = ((want - (low + high) / 2) * slope).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-12)
+            step = np.clip(towards, -1, 1)
             log += step
             if np.abs(step).max() < 1e-4:
                 break

@@ -10,11 +10,10 @@ from lib.given.rays import shifts, sobol
 from lib.light import lamps as lamps_
 from lib.light import surface as surfaces
 from lib.light.form_factors import CHUNK
-from lib.light.surface import Surface
+from lib.light.surface import Surface, backproject
 from lib.picture import fragments_kernels as kernels
-from lib.picture.pixels import eye_and_plane
-
-# -- mixed pixels
+from lib.picture.fragments_kernels import MixedPixels, SubPixels
+from lib.picture.pixels import viewer
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,8 @@ class Fragments:
     """The A-buffer: what pixels show that hold more than one facet.
 
     pixel : (P,) flat index;  start : (P + 1,) into the fragments;  facet, side : (S,);  share : (S,) of the pixel
-    p : (S, 3) local, the middle of what is seen of it;  owner : (S * 64,) the fragment of each sub-pixel, -1;  at : (S * 64, 3)
+    p : (S, 3) local, the middle of what is seen of it;  seen : (S,) bool, a sub-pixel shows it
+    owner : (P * 64,) the fragment that each sub-pixel shows, -1;  at : (P * 64, 3) local, where
     """
 
     pixel: np.ndarray
@@ -37,45 +37,32 @@ class Fragments:
 
 
 def fragments(surface: Surface, camera, coverage) -> Fragments:
-    """Where the camera sees each fragment: rays through the 8 x 8 sub-pixels.  coverage : pixel, start, facet, count of 64."""
-    from lib.light.surface import backproject
+    """Where the camera sees each fragment, by rays through the 8 x 8 sub-pixels.
 
+    coverage : {pixel, start, facet, count of 64}, see lib/buffers/coverage.py
+    """
     pixel, start = np.asarray(coverage["pixel"], np.int64), np.asarray(coverage["start"], np.int64)
     facet = np.asarray(coverage["facet"], np.int32)
     p, side = backproject(surface, camera, facet, np.repeat(pixel, np.diff(start)))
     owner, at = np.full(64 * len(pixel), -1, np.int32), np.zeros((64 * len(pixel), 3))
-    eye, M = eye_and_plane(surface, camera)[:2]
+    mixed, eye = MixedPixels(pixel, start, facet, camera.width), viewer(surface, camera)
     for a in range(0, len(owner), CHUNK):
-        rays = kernels.sub_rays(a, min(len(owner), a + CHUNK), pixel, camera.width, eye, M)
+        rays = kernels.sub_rays(a, min(len(owner), a + CHUNK), mixed, eye)
         triangle, _ = surface.caster.closest(rays)
-        kernels.sort_out(
-            a,
-            rays,
-            triangle,
-            eye,
-            M,
-            pixel,
-            camera.width,
-            start,
-            facet,
-            surface.facet,
-            surface.normal,
-            surface.origin,
-            owner,
-            at,
-        )
+        kernels.sort_out(a, triangle, mixed, eye, surface.arrays, owner, at)
     mine = owner >= 0
     number = np.bincount(owner[mine], minlength=len(facet))
     for d in range(3):
-        p[:, d] = np.where(
-            number > 0, np.bincount(owner[mine], at[mine, d], len(facet)) / np.maximum(number, 1), p[:, d]
-        )
+        mean = np.bincount(owner[mine], at[mine, d], len(facet)) / np.maximum(number, 1)
+        p[:, d] = np.where(number > 0, mean, p[:, d])
     return Fragments(pixel, start, facet, side, np.asarray(coverage["count"], float) / 64, p, owner, at, number > 0)
 
 
 def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays_each=2):
-    """Factor of each fragment to each lamp (S, L), shadow rays from each sub-pixel: a shadow in the corner beside a thin
-    board is darker in the pixel where it lies than anywhere else."""
+    """Factor of each fragment to each lamp (S, L), by shadow rays from each sub-pixel.
+
+    A shadow in the corner beside a thin board is darker in the pixel where it lies than anywhere else.
+    """
     factor = np.zeros((len(fragments.facet), n_lamps))
     normals = surfaces.side_normals(surface)
     # the sub-pixels of a fragment, in an order of no direction, take one point after the other of one good set
@@ -83,11 +70,10 @@ def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays
     which = which[np.lexsort((which * 37 % 64, fragments.owner[which]))]
     rank = np.arange(len(which)) - np.searchsorted(fragments.owner[which], fragments.owner[which])
     sequence, shift = sobol(64 * rays_each), shifts(len(fragments.facet), 64 * rays_each, 77)
-    which, rank = (
-        np.repeat(which, rays_each),
-        np.repeat(rank * rays_each, rays_each) + np.tile(np.arange(rays_each), len(which)),
-    )
-    for number, lamp in enumerate(lamps):
+    rank = np.repeat(rank * rays_each, rays_each) + np.tile(np.arange(rays_each), len(which))
+    which = np.repeat(which, rays_each)
+    places = SubPixels(fragments.owner, fragments.at, fragments.side)
+    for lamp in lamps:
         whole = lamps_.direct(
             surface, [replace(lamp, lamp=0)], fragments.p, normals, fragments.side, 1, n_samples=1, shadows=False
         )[:, 0]
@@ -96,17 +82,7 @@ def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays
             for a in range(0, len(which), CHUNK):
                 some = which[a : a + CHUNK]
                 rays, weight = kernels.fragment_rays(
-                    some,
-                    rank[a : a + CHUNK],
-                    sequence,
-                    shift,
-                    fragments.owner,
-                    fragments.side,
-                    fragments.at,
-                    surface.normal,
-                    lamp.corners,
-                    lamp.normal,
-                    lamp.cdf,
+                    some, rank[a : a + CHUNK], sequence, shift, places, surface.arrays, lamp.arrays
                 )
                 visible = lamps_.reached(surface, lamp, rays)
                 owner = fragments.owner[some]
@@ -118,5 +94,9 @@ def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays
 
 
 def beside(values, facet, fragments: Fragments):
-    """For each fragment the mean of `values` (H, W, C) over the nearest pixels of its facet, within three, and whether there are any."""
-    return kernels.beside(values, facet, fragments.pixel, fragments.start, fragments.facet)
+    """(S, C) the mean of `values` (H, W, C) over the nearest pixels of each fragment's facet; (S,) if there are any.
+
+    facet : (H, W), -1;  pixels are looked for up to three away
+    """
+    mixed = MixedPixels(fragments.pixel, fragments.start, fragments.facet, facet.shape[1])
+    return kernels.beside(values, facet, mixed)

@@ -1,9 +1,31 @@
 """Compiled: what the sub-pixels of mixed pixels show."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit, prange
-from lib.picture.pixel_light_kernels import aim
+from lib.light.lamps_kernels import LampArrays, aim
+from lib.light.sampling_kernels import scrambled
+from lib.light.surface_kernels import SurfaceArrays
+from lib.picture.pixels_kernels import Viewer
+
+
+class MixedPixels(NamedTuple):
+    """The A-buffer; see Fragments."""
+
+    pixel: np.ndarray  # (P,)
+    start: np.ndarray  # (P + 1,) into facet
+    facet: np.ndarray  # (S,)
+    width: int  # of the picture
+
+
+class SubPixels(NamedTuple):
+    """Which fragment each sub-pixel shows, and where; see Fragments."""
+
+    owner: np.ndarray  # (64 P,)
+    at: np.ndarray  # (64 P, 3)
+    side: np.ndarray  # (S,) of each fragment
 
 
 @njit(inline="always")
@@ -17,7 +39,10 @@ def sub_direction(k, pixel, width, M, v):
 
 
 @njit(parallel=True)
-def sub_rays(a, b, pixel, width, eye, M):
+def sub_rays(a, b, mixed: MixedPixels, viewer: Viewer):
+    """Rays (b - a, 6) of the camera through the sub-pixels a..b-1."""
+    pixel, width = mixed.pixel, mixed.width
+    eye, M = viewer
     rays = np.empty((b - a, 6), np.float32)
     for k in prange(a, b):
         v = np.empty(3)
@@ -30,8 +55,15 @@ def sub_rays(a, b, pixel, width, eye, M):
 
 
 @njit(parallel=True)
-def sort_out(base, rays, triangle, eye, M, pixel, width, start, facet, facet_of, normal, origin, owner, at):
-    for k in prange(base, base + len(rays)):
+def sort_out(base, triangle, mixed: MixedPixels, viewer: Viewer, surface: SurfaceArrays, owner, at):
+    """Write into owner (64 P,) and at (64 P, 3) what the sub-pixels from `base` on show.
+
+    triangle : (n,) that they meet, -1
+    """
+    pixel, start, facet, width = mixed
+    eye, M = viewer
+    facet_of, normal, origin = surface.facet, surface.normal, surface.origin
+    for k in prange(base, base + len(triangle)):
         if triangle[k - base] < 0:
             continue
         i, f = k // 64, facet_of[triangle[k - base]]
@@ -49,20 +81,31 @@ def sort_out(base, rays, triangle, eye, M, pixel, width, start, facet, facet_of,
 
 
 @njit(parallel=True)
-def fragment_rays(which, rank, sequence, shift, owner, side, at, normal, lamp, front, cdf):
+def fragment_rays(which, rank, sequence, shift, places: SubPixels, surface: SurfaceArrays, lamp: LampArrays):
+    """A shadow ray (n, 6) from each of the sub-pixels `which` (n,) to a lamp, and the light that takes it (n,).
+
+    rank : (n,) place in the sequence;  shift : (S, 4)
+    """
+    owner, at, side = places
+    normal = surface.normal
     rays = np.empty((len(which), 6), np.float32)
     weight = np.empty(len(which), np.float32)
     for j in prange(len(which)):
         i = which[j]
         k, s = rank[j], side[owner[i]]
-        u = ((sequence[k, 0] ^ shift[owner[i], 0]) + 0.5) / 4294967296.0
-        v = ((sequence[k, 1] ^ shift[owner[i], 1]) + 0.5) / 4294967296.0
-        weight[j] = aim(at[i], normal[s >> 1], 1.0 - 2.0 * (s & 1), u, v, lamp, front, cdf, rays, j)
+        u = scrambled(sequence[k, 0], shift[owner[i], 0])
+        v = scrambled(sequence[k, 1], shift[owner[i], 1])
+        weight[j] = aim(at[i], normal[s >> 1], 1.0 - 2.0 * (s & 1), u, v, lamp, rays, j)
     return rays, weight
 
 
 @njit()
-def beside(picture, facet, pixel, start, fragment):
+def beside(picture, facet, mixed: MixedPixels):
+    """For each fragment the mean of picture (H, W, C) over the nearest pixels of its facet, and whether there are any.
+
+    facet : (H, W), -1;  pixels are looked for up to three away
+    """
+    pixel, start, fragment, _ = mixed
     H, W, C = picture.shape
     value = np.zeros((len(fragment), C))
     found = np.zeros(len(fragment), np.bool_)

@@ -1,5 +1,7 @@
-"""Indirect light at the pixels. It is smooth, so it is gathered by many rays at few places, the leaves of one quadtree over the picture
-per facet: finer near contacts, and where neighbours cannot foretell it.
+"""Indirect light at the pixels.
+
+It is smooth, so it is gathered by many rays at few places: the leaves of one quadtree over the picture for each facet,
+finer near contacts, and where neighbours cannot foretell it.
 """
 
 from __future__ import annotations
@@ -34,57 +36,63 @@ def gather(
         noise of a wide leaf is a blotch, that of a narrow one is not seen and averages out
     contact : a leaf wider than this times the harmonic mean distance of what it sees is split
     tolerance : and one whose light its neighbours do not foretell to this share of its total light
+    trace : called at each level with the number of places and the foretold_error, the root mean square of that share
     """
     smallest, largest = 1, max(2, round(np.log2(max(min(pixels.number.shape) / 15, 1))))
     brightness = total_direct.mean(axis=1)
-    first, last = pixel_blocks(pixels, np.zeros(1, np.int64), np.array([len(pixels)]), largest)
+    few = max(16, n_rays // 2)
+    gathered = lambda blocks, level: _gathered(surface, shown, lamps, E, pixels, *blocks, level, few)
+    blocks = pixel_blocks(pixels, np.zeros(1, np.int64), np.array([len(pixels)]), largest)
     done = None
     for level in range(largest, smallest - 1, -1):
-        fresh = _gathered(surface, shown, lamps, E, pixels, first, last, level, max(16, n_rays // 2))
+        fresh = gathered(blocks, level)
         everything = fresh if done is None else Leaves.joined(done, fresh)
         weight = everything.last - everything.first
-        _, foretold = neighbourhoods(everything, pixels.facet[everything.first])
-        total = block_means(brightness, everything.first, everything.last) + everything.irradiance.mean(axis=1)
-        floor = 0.05 * np.average(total, weights=weight) if len(weight) else 0.0
-        error = np.abs(foretold - everything.irradiance).mean(axis=1) / np.maximum(total + floor, 1e-300)
+        error, noise = _foretold_error(everything, pixels, brightness)
         if trace and len(weight):
             trace(places=len(everything), foretold_error=float(np.sqrt(np.average(error**2, weights=weight))))
         split = everything.extent > contact * everything.distance
-        split |= error > np.maximum(tolerance, 3 * everything.noise / np.maximum(total + floor, 1e-300))
+        split |= error > np.maximum(tolerance, noise)
         split &= (everything.level == level) & (weight > 4) & (level > smallest)
         done = everything[~split]
         if not split.any():
             break
-        first, last = pixel_blocks(pixels, everything.first[split], everything.last[split], level - 1)
-    while len(done):  # no leaf beside one a quarter as wide or less: the fits would lean
-        split = (
-            kernels.lowest_beside(done.first, done.last, done.level, pixels.number, pixels.facet, pixels.x, pixels.y)
-            < done.level - 1
-        )
-        if not split.any():
-            break
-        fresh = [
-            _gathered(
-                surface,
-                shown,
-                lamps,
-                E,
-                pixels,
-                *pixel_blocks(pixels, done.first[now], done.last[now], level - 1),
-                level - 1,
-                max(16, n_rays // 2),
-            )
-            for level in np.unique(done.level[split])
-            for now in [split & (done.level == level)]
-        ]
-        done = Leaves.joined(done[~split], *fresh)
+        blocks = pixel_blocks(pixels, everything.first[split], everything.last[split], level - 1)
+    done = _evened_out(done, pixels, gathered)
     _finish(surface, shown, lamps, E, pixels, done, brightness, n_rays, largest)
     return done
 
 
+def _foretold_error(leaves, pixels, brightness):
+    """(K,) by how much neighbours fail to foretell each leaf's light, and 3 sigma of its noise; shares of its light."""
+    weight = leaves.last - leaves.first
+    _, foretold = neighbourhoods(leaves, pixels.facet[leaves.first])
+    total = block_means(brightness, leaves.first, leaves.last) + leaves.irradiance.mean(axis=1)
+    floor = 0.05 * np.average(total, weights=weight) if len(weight) else 0.0
+    light = np.maximum(total + floor, 1e-300)
+    return np.abs(foretold - leaves.irradiance).mean(axis=1) / light, 3 * leaves.noise / light
+
+
+def _evened_out(leaves, pixels, gathered):
+    """Split leaves beside others a quarter as wide or less, until there are none: local fits would lean."""
+    while len(leaves):
+        split = kernels.lowest_beside(leaves.arrays, pixels.arrays) < leaves.level - 1
+        if not split.any():
+            break
+        fresh = []
+        for level in np.unique(leaves.level[split]):
+            now = split & (leaves.level == level)
+            fresh.append(gathered(pixel_blocks(pixels, leaves.first[now], leaves.last[now], level - 1), level - 1))
+        leaves = Leaves.joined(leaves[~split], *fresh)
+    return leaves
+
+
 def _finish(surface, shown, lamps, E, pixels, leaves, brightness, n_rays, largest):
-    """The final rays, in place. Facets whose light comes from few directions (dark ones before a bright gap) get more, up to
-    four times as many, those of even light fewer; those that reflect nothing next to none."""
+    """The final rays, in place.
+
+    Facets whose light comes from few directions (dark ones before a bright gap) get up to four times as many rays,
+    those of even light fewer, and those that reflect nothing next to none.
+    """
     if not len(leaves):
         return
     facet, weight = pixels.facet[leaves.first], (leaves.last - leaves.first).astype(float)

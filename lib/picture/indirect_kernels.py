@@ -3,11 +3,15 @@
 import numpy as np
 
 from lib.core.compiled import njit
+from lib.picture.leaves_kernels import LeafArrays
+from lib.picture.pixels_kernels import PixelArrays
 
 
 @njit()
-def lowest_beside(first, last, level, number, facet, x, y):
-    """The lowest level among the leaves that touch each leaf on its facet."""
+def lowest_beside(leaves: LeafArrays, pixels: PixelArrays):
+    """(K,) the lowest level among the leaves that touch each leaf on its facet."""
+    first, last, level, _ = leaves
+    x, y, facet, number = pixels.x, pixels.y, pixels.facet, pixels.number
     H, W = number.shape
     of = np.empty(len(x), np.int64)
     for i in range(len(first)):
@@ -25,6 +29,7 @@ def lowest_beside(first, last, level, number, facet, x, y):
 
 @njit()
 def bounds(p, first, last):
+    """(K, 3) the lowest and the highest coordinates of the points p[first:last] of each leaf."""
     low, high = np.empty((len(first), 3)), np.empty((len(first), 3))
     for i in range(len(first)):
         for d in range(3):

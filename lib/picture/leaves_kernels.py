@@ -1,13 +1,29 @@
 """Compiled: local linear fits over neighbouring leaves."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit, prange
 from lib.picture.light_map_kernels import linear
+from lib.picture.pixels_kernels import PixelArrays
+
+
+class LeafArrays(NamedTuple):
+    """What kernels need of Leaves; see there."""
+
+    first: np.ndarray  # (K,)
+    last: np.ndarray  # (K,)
+    level: np.ndarray  # (K,)
+    q: np.ndarray  # (K, 2) px
 
 
 @njit(parallel=True)
 def local_fits(q, value, near, distance):
+    """Local linear fits of value (K, C) at places q (K, 2): see `neighbourhoods`.
+
+    near, distance : (K, k) the nearest of the places, those of other facets more than 5e5 away
+    """
     m, k = near.shape
     C = value.shape[1]
     fits = np.zeros((m, 3, C))
@@ -53,11 +69,14 @@ def local_fits(q, value, near, distance):
 
 
 @njit()
-def splat(q, level, fits, leaf_facet, first, last, number, facet, x, y):
+def splat(leaves: LeafArrays, fits, pixels: PixelArrays):
+    """(M, C) the local fits (K, 3, C) of the leaves around each pixel, blended smoothly, never across facets."""
+    first, last, level, q = leaves
+    facet, number = pixels.facet, pixels.number
     H, W = number.shape
     m, _, C = fits.shape
-    total = np.zeros((len(x), C))
-    weight = np.zeros(len(x))
+    total = np.zeros((len(facet), C))
+    weight = np.zeros(len(facet))
     for i in range(m):
         radius = 1.5 * (1 << level[i])
         x0, x1 = max(int(np.ceil(q[i, 0] - radius)), 0), min(int(q[i, 0] + radius), W - 1)
@@ -65,7 +84,7 @@ def splat(q, level, fits, leaf_facet, first, last, number, facet, x, y):
         for b in range(y0, y1 + 1):
             for a in range(x0, x1 + 1):
                 j = number[b, a]
-                if j < 0 or facet[j] != leaf_facet[i]:
+                if j < 0 or facet[j] != facet[first[i]]:
                     continue
                 du, dv = a - q[i, 0], b - q[i, 1]
                 w = 1 - (du * du + dv * dv) / (radius * radius)
@@ -75,7 +94,7 @@ def splat(q, level, fits, leaf_facet, first, last, number, facet, x, y):
                 weight[j] += w
                 for c in range(C):
                     total[j, c] += w * (fits[i, 0, c] + fits[i, 1, c] * du + fits[i, 2, c] * dv)
-    for j in range(len(x)):
+    for j in range(len(facet)):
         if weight[j] > 0:
             for c in range(C):
                 total[j, c] /= weight[j]

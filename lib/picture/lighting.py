@@ -20,7 +20,8 @@ from lib.picture.light_map import LightMap
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """lamps : plain and mirrored Emitters, of emittances E (their number, C);  shown : what rays see
+    """lamp_groups : (L,) numbers of the groups that emit;  light : of the patches
+    lamps : plain and mirrored Emitters, of emittances E (their number, C);  shown : what rays see
     ways : where rays go on at mirrors and glossy surfaces, None where there are none
     """
 
@@ -91,7 +92,7 @@ def lighting(
 
 
 def _past_mirrors(F, subcell, factors, patches, appearance, lamp_groups, plain, transport: Transport):
-    """Balance, indirect light of the patches (N, C), and SpecularLight, where light goes on at mirrors and glossy surfaces."""
+    """Balance, indirect light of the patches (N, C), SpecularLight: where light goes on at specular surfaces."""
     E, C = appearance.E, appearance.channels
     power = transport.chains.power(appearance.rho_s)
     parts = {k: A @ subcell for k, A in transport.F.items()}

@@ -8,21 +8,23 @@ import numpy as np
 
 from lib.given.rays_kernels import OFFSET
 from lib.light import lamps
-from lib.light.surface import Surface, side_normals
+from lib.light.surface import Surface, side_normals, triangle_areas
 from lib.picture.lighting import radiosities
 from lib.picture.rendering import Picture, compose
 from lib.picture.subject import Subject
 
 
 def phong(surface: Surface, emitters, p, side, E):
-    """(M, C) light by eq. 3.1 as the paper means it as a contrast: from the middle of each lamp's facets, (N.L) / d^2, no shadows,
-    no interreflection; k_s = 0 because every surface here is diffuse. The ambient term is the caller's."""
+    """(M, C) light by eq. 3.1, as the paper means it as a contrast.
+
+    From the middle of each lamp's facets, (N.L) / d^2, no shadows, no interreflection; k_s = 0, because every surface
+    here is diffuse. The ambient term is the caller's.
+    p : (M, 3) local;  side : (M,);  E : (L, C)
+    """
     normal = side_normals(surface)[side]
     lit = np.zeros((len(p), E.shape[1]))
     for lamp in emitters:
-        area = 0.5 * np.linalg.norm(
-            np.cross(lamp.corners[:, 1] - lamp.corners[:, 0], lamp.corners[:, 2] - lamp.corners[:, 0]), axis=1
-        )
+        area = triangle_areas(lamp.corners)
         to = (lamp.corners.mean(axis=1) * area[:, None]).sum(axis=0) / area.sum() - p
         d2 = np.maximum((to**2).sum(axis=1), OFFSET**2)
         lit += (np.maximum(np.einsum("ij,ij->i", to, normal), 0) / d2**1.5 * area.sum())[:, None] * E[lamp.lamp] / np.pi
@@ -30,8 +32,10 @@ def phong(surface: Surface, emitters, p, side, E):
 
 
 def ambient_and_power(r, lit, wanted, show):
-    """The two free numbers of eq. 3.1 per channel, ambient intensity and lamp power (C,): the non-negative ones of the least squares
-    of show(r (ambient + power lit)) against `wanted`, all (M, C)."""
+    """The two free numbers of eq. 3.1 in each channel, ambient intensity and lamp power (C,).
+
+    The non-negative ones of the least squares of show(r (ambient + power lit)) against `wanted`, all (M, C).
+    """
     from scipy.optimize import least_squares
 
     some = slice(None, None, max(1, len(r) // 5000))
@@ -42,10 +46,11 @@ def ambient_and_power(r, lit, wanted, show):
             continue
         level = max(float((x * l).mean()), 1e-12)
         start = np.array([0.3 * level / float(x.mean()), 1.0])
-        best = least_squares(
-            lambda t: show(x * (t[0] + t[1] * l)) - want, start, bounds=([0, 0], [np.inf, np.inf]), x_scale=start
-        )
-        ambient[c], power[c] = best.x
+
+        def error(t, x=x, l=l, want=want):
+            return show(x * (t[0] + t[1] * l)) - want
+
+        ambient[c], power[c] = least_squares(error, start, bounds=([0, 0], [np.inf, np.inf]), x_scale=start).x
     return ambient, power
 
 

@@ -1,5 +1,7 @@
-"""Direct light at the pixels: the exact factor of the lamp's polygon times its visible share, by shadow rays from all over the pixel, few
-everywhere and many where neighbouring pixels disagree (penumbra).
+"""Direct light at the pixels: the exact factor of the lamp's polygon times its visible share.
+
+The share comes from shadow rays from all over the pixel: few everywhere, and many where neighbouring pixels disagree
+(penumbra).
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from lib.light.form_factors import CHUNK
 from lib.light.surface import Surface
 from lib.picture import pixel_light_kernels as kernels
 from lib.picture.leaves import Leaves, block_means, interpolated, pixel_blocks
-from lib.picture.pixels import Pixels, eye_and_plane
+from lib.picture.pixels import Pixels, facet_triangles, viewer
 
 MANY = 16  # triangles of a lamp above which its light is interpolated between pixels
 
@@ -29,7 +31,8 @@ def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, m
     """
     factor = np.zeros((len(pixels), n_lamps))
     normals = surfaces.side_normals(surface)
-    view = eye_and_plane(surface, camera)
+    arrays = pixels.arrays
+    scene = (arrays, viewer(surface, camera), facet_triangles(surface), surface.arrays)
     uncertain = 0
     for number, lamp in enumerate(lamps):
         whole = _whole(surface, lamp, pixels, normals)
@@ -38,21 +41,21 @@ def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, m
             continue
         lit = np.flatnonzero(whole > 0)
         visible = np.zeros(len(pixels))
-        visible[lit] = _visible(surface, lamp, pixels, lit, view, few, number)
-        penumbra = np.flatnonzero(kernels.disagree(visible, whole > 0, pixels.number, pixels.facet, pixels.x, pixels.y))
+        visible[lit] = _visible(surface, lamp, scene, lit, few, number)
+        penumbra = np.flatnonzero(kernels.disagree(visible, whole > 0, arrays))
         uncertain += len(penumbra)
         if len(penumbra):
-            visible[penumbra] = _visible(surface, lamp, pixels, penumbra, view, many, number + 500)
-            visible[penumbra] = kernels.smoothed(
-                visible, penumbra, pixels.number, pixels.facet, pixels.x, pixels.y, 0.7 / many**0.75
-            )
+            visible[penumbra] = _visible(surface, lamp, scene, penumbra, many, number + 500)
+            visible[penumbra] = kernels.smoothed(visible, penumbra, arrays, 0.7 / many**0.75)
         factor[:, lamp.lamp] += whole * visible
     return factor, uncertain
 
 
 def _whole(surface, lamp, pixels, normals):
-    """Factor of each pixel to a lamp if nothing stood in between, (M,): exact; for a lamp of many triangles exact at the middles of
-    blocks of 4 x 4 pixels and interpolated between."""
+    """Factor of each pixel to a lamp if nothing stood in between, (M,).
+
+    Exact; for a lamp of many triangles exact at the middles of blocks of 4 x 4 pixels, and interpolated between.
+    """
     one = [replace(lamp, lamp=0)]
     if len(lamp.corners) <= MANY or not len(pixels):
         return lamps_.direct(surface, one, pixels.p, normals, pixels.side, 1, n_samples=1, shadows=False)[:, 0]
@@ -61,33 +64,21 @@ def _whole(surface, lamp, pixels, normals):
     factor = lamps_.direct(surface, one, p, normals, pixels.side[first], 1, n_samples=1, shadows=False)
     q = np.stack([block_means(v.astype(float), first, last) for v in (pixels.x, pixels.y)], axis=1)
     nothing = np.zeros(len(first))
-    return interpolated(
-        Leaves(first, last, np.full(len(first), 2), q, nothing, factor, nothing, nothing, nothing), pixels
-    )[:, 0]
+    blocks = Leaves(first, last, np.full(len(first), 2), q, nothing, factor, nothing, nothing, nothing)
+    return interpolated(blocks, pixels)[:, 0]
 
 
-def _visible(surface, lamp, pixels, which, view, n, seed):
-    """Share of the lamp's light that reaches each pixel of `which`, from n shadow rays."""
+def _visible(surface, lamp, scene, which, n, seed):
+    """Share of the lamp's light that reaches each pixel of `which`, from n shadow rays.
+
+    scene : PixelArrays, Viewer, Triangles, SurfaceArrays
+    """
     sequence = sobol(n)
     share = np.zeros(len(which))
     step = max(1, CHUNK // n)
     for a in range(0, len(which), step):
         some = which[a : a + step]
-        rays, weight = kernels.shadow_rays(
-            some,
-            n,
-            sequence,
-            shifts(len(some), n, seed),
-            pixels.x,
-            pixels.y,
-            pixels.side,
-            pixels.p,
-            *view,
-            surface.origin,
-            surface.normal,
-            lamp.corners,
-            lamp.normal,
-            lamp.cdf,
-        )
+        shift = shifts(len(some), n, seed)
+        rays, weight = kernels.shadow_rays(some, sequence, shift, *scene, lamp.arrays)
         share[a : a + step] = kernels.visible_share(weight, ~lamps_.reached(surface, lamp, rays))
     return share

@@ -3,12 +3,16 @@
 import numpy as np
 
 from lib.core.compiled import njit, prange
-from lib.given.rays_kernels import OFFSET
-from lib.picture.texels_kernels import holds
+from lib.light.lamps_kernels import LampArrays, aim
+from lib.light.sampling_kernels import scrambled
+from lib.light.surface_kernels import SurfaceArrays
+from lib.picture.pixels_kernels import PixelArrays, Viewer
+from lib.picture.triangles_kernels import Triangles, holds
 
 
 @njit(parallel=True)
 def visible_share(weight, occluded):
+    """(m,) share of the light of n shadow rays each that arrives.  weight : (m, n);  occluded : (m * n,) bool"""
     m, n = weight.shape
     out = np.zeros(m)
     for i in prange(m):
@@ -23,8 +27,24 @@ def visible_share(weight, occluded):
 
 @njit(parallel=True)
 def shadow_rays(
-    which, n, sequence, shift, px, py, side, centres, eye, M, corners, first, origin, normal, lamp, front, cdf
+    which,
+    sequence,
+    shift,
+    pixels: PixelArrays,
+    viewer: Viewer,
+    triangles: Triangles,
+    surface: SurfaceArrays,
+    lamp: LampArrays,
 ):
+    """Rays (m * n, 6) from all over each of the pixels `which` (m,) to a lamp, and the light that takes each (m, n).
+
+    sequence : (n, 4), shift : (m, 4) uint32
+    """
+    px, py, side, centres = pixels.x, pixels.y, pixels.side, pixels.p
+    eye, M = viewer
+    corners, first = triangles
+    origin, normal = surface.origin, surface.normal
+    n = len(sequence)
     rays = np.empty((len(which) * n, 6), np.float32)
     weight = np.empty((len(which), n), np.float32)
     for j in prange(len(which)):
@@ -36,8 +56,8 @@ def shadow_rays(
             height += (origin[f, d] - eye[d]) * normal[f, d]
         p = np.empty(3)
         for k in range(n):
-            x = px[i] + ((sequence[k, 2] ^ shift[j, 2]) + 0.5) / 4294967296.0 - 0.5
-            y = py[i] + ((sequence[k, 3] ^ shift[j, 3]) + 0.5) / 4294967296.0 - 0.5
+            x = px[i] + scrambled(sequence[k, 2], shift[j, 2]) - 0.5
+            y = py[i] + scrambled(sequence[k, 3], shift[j, 3]) - 0.5
             along = 0.0
             for d in range(3):
                 p[d] = M[d, 0] * x + M[d, 1] * y + M[d, 2]
@@ -48,15 +68,15 @@ def shadow_rays(
             if scale <= 0 or not holds(p, corners, first[f], first[f + 1], normal[f]):
                 for d in range(3):  # off the facet: its centre, which is on it
                     p[d] = centres[i, d]
-            u = ((sequence[k, 0] ^ shift[j, 0]) + 0.5) / 4294967296.0
-            v = ((sequence[k, 1] ^ shift[j, 1]) + 0.5) / 4294967296.0
-            weight[j, k] = aim(p, normal[f], sign, u, v, lamp, front, cdf, rays, j * n + k)
+            u, v = scrambled(sequence[k, 0], shift[j, 0]), scrambled(sequence[k, 1], shift[j, 1])
+            weight[j, k] = aim(p, normal[f], sign, u, v, lamp, rays, j * n + k)
     return rays, weight
 
 
 @njit(parallel=True)
-def disagree(visible, lit, number, facet, x, y):
-    """(M,) bool: partly visible, or unlike a pixel of the same facet within two."""
+def disagree(visible, lit, pixels: PixelArrays):
+    """(M,) bool: the lamp is partly visible, or unlike at a pixel of the same facet within two.  visible, lit : (M,)"""
+    x, y, facet, number = pixels.x, pixels.y, pixels.facet, pixels.number
     H, W = number.shape
     out = np.zeros(len(visible), np.bool_)
     for i in prange(len(visible)):
@@ -74,8 +94,12 @@ def disagree(visible, lit, number, facet, x, y):
 
 
 @njit(parallel=True)
-def smoothed(visible, which, number, facet, x, y, sigma):
-    """Mean of the 3 x 3 pixels of the same facet that differ by no more than the sampling does."""
+def smoothed(visible, which, pixels: PixelArrays, sigma):
+    """(m,) mean over the 3 x 3 pixels about each of `which`, of the same facet, weighted by how alike they are.
+
+    visible : (M,);  sigma : of its sampling
+    """
+    x, y, facet, number = pixels.x, pixels.y, pixels.facet, pixels.number
     H, W = number.shape
     out = np.empty(len(which))
     for k in prange(len(which)):
@@ -91,24 +115,3 @@ def smoothed(visible, which, number, facet, x, y, sigma):
                 weight += w
         out[k] = total / weight
     return out
-
-
-@njit(inline="always")
-def aim(p, normal, sign, u, v, lamp, front, cdf, rays, row):
-    """Write the shadow ray from p to the point (u, v) of a lamp; returns the light that takes this way, up to a factor."""
-    t = 0
-    while t < len(cdf) - 1 and cdf[t] <= u:
-        t += 1
-    low = cdf[t - 1] if t > 0 else 0.0
-    r = np.sqrt(min(max((u - low) / (cdf[t] - low), 0.0), 1.0))
-    squared, here, there = 0.0, 0.0, 0.0
-    for d in range(3):
-        target = (1 - r) * lamp[t, 0, d] + r * (1 - v) * lamp[t, 1, d] + r * v * lamp[t, 2, d]
-        start = p[d] + OFFSET * sign * normal[d]
-        x = target + OFFSET * front[t, d] - start
-        rays[row, d] = start
-        rays[row, 3 + d] = x
-        squared += x * x
-        here += x * sign * normal[d]
-        there -= x * front[t, d]
-    return max(here, 0.0) * max(there, 0.0) / max(squared * squared, 1e-30)

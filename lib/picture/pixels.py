@@ -6,17 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lib.light.surface import Surface
+from lib.light.surface import Surface, backproject
 from lib.picture import pixels_kernels as kernels
-
-# -- direct light, per pixel
+from lib.picture.pixels_kernels import PixelArrays, Viewer
+from lib.picture.triangles_kernels import Triangles
 
 
 @dataclass(frozen=True)
 class Pixels:
     """The pixels that show something, in Morton's order facet by facet: a block of a facet is a range.
 
-    x, y, facet, side : (M,);  p : (M, 3) local;  key : (M,) facet and Morton code;  number : (H, W) place in this order, -1
+    x, y, facet, side : (M,);  p : (M, 3) local;  key : (M,) facet and Morton code
+    number : (H, W) place in this order, -1
     """
 
     x: np.ndarray
@@ -25,14 +26,19 @@ class Pixels:
     side: np.ndarray
     p: np.ndarray
     key: np.ndarray
-    bits: int
     number: np.ndarray
 
     def __len__(self):
         return len(self.x)
 
+    @property
+    def arrays(self) -> PixelArrays:
+        """For kernels."""
+        return PixelArrays(self.x, self.y, self.facet, self.side, self.p, self.number)
+
 
 def _morton(v):
+    """The bits of v (n,), each followed by a 0, uint64."""
     v = v.astype(np.uint64)
     for shift, mask in (
         (16, 0x0000FFFF0000FFFF),
@@ -46,9 +52,9 @@ def _morton(v):
 
 
 def pixels(surface: Surface, camera, facet, at=None) -> Pixels:
-    """facet : (H, W) int, -1 = nothing;  at : (H, W, 3) local and (H, W) side, of what mirrors show; else where the camera sees it."""
-    from lib.light.surface import backproject
-
+    """facet : (H, W) int, -1 = nothing
+    at : ((H, W, 3) local, (H, W) side) of what mirrors show; by default where the camera sees it
+    """
     y, x = np.nonzero(facet >= 0)
     bits = max(1, int(max(facet.shape) - 1).bit_length())
     key = (facet[y, x].astype(np.uint64) << np.uint64(2 * bits)) | _morton(x) | (_morton(y) << np.uint64(1))
@@ -57,27 +63,24 @@ def pixels(surface: Surface, camera, facet, at=None) -> Pixels:
     number = np.full(facet.shape, -1, np.int64)
     number[y, x] = np.arange(len(x))
     f = facet[y, x].astype(np.int32)
-    p, side = (
-        backproject(surface, camera, f, y.astype(np.int64) * camera.width + x)
-        if at is None
-        else (at[0][y, x], at[1][y, x])
-    )
-    kernels.pull_in(p, f, *facet_triangles(surface), surface.normal)
-    return Pixels(x, y, f, side, p, key, bits, number)
+    if at is None:
+        p, side = backproject(surface, camera, f, y.astype(np.int64) * camera.width + x)
+    else:
+        p, side = (values[y, x] for values in at)
+    kernels.pull_in(p, f, facet_triangles(surface), surface.normal)
+    return Pixels(x, y, f, side, p, key, number)
 
 
-def facet_triangles(surface):
-    """The corners of all triangles facet by facet (T, 3, 3), and where each facet's begin (F + 1,)."""
+def facet_triangles(surface) -> Triangles:
+    """The triangles of a surface, facet by facet."""
     order = np.argsort(surface.facet, kind="stable").astype(np.int64)
-    return surface.corners[order], np.searchsorted(surface.facet[order], np.arange(len(surface.normal) + 1)).astype(
-        np.int64
-    )
+    first = np.searchsorted(surface.facet[order], np.arange(len(surface.normal) + 1)).astype(np.int64)
+    return Triangles(surface.corners[order], first)
 
 
-def eye_and_plane(surface, camera):
-    """What turns a place in the picture into a ray, in local coordinates: centre (3,), and (3, 3) with v = M (x, y, 1).
-    Without a camera (pixels that mirrors show) no place but a pixel's own is known: M = 0."""
+def viewer(surface, camera) -> Viewer:
+    """Of a camera; without one (pixels that mirrors show) no place but a pixel's own is known: M = 0."""
     if camera is None:
-        return np.zeros(3), np.zeros((3, 3)), *facet_triangles(surface)
+        return Viewer(np.zeros(3), np.zeros((3, 3)))
     M = camera.T_cam_world[:3, :3].T @ np.linalg.inv(camera.K)
-    return surface.local.points(camera.centre), M, *facet_triangles(surface)
+    return Viewer(surface.local.points(camera.centre), M)

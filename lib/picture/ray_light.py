@@ -6,46 +6,36 @@ import numpy as np
 
 from lib.given.rays import shifts, sobol
 from lib.light import lamps as lamps_
+from lib.light import paths, specular_lamps
 from lib.light.form_factors import CHUNK
 from lib.light.surface import Surface
 from lib.picture import ray_light_kernels as kernels
 from lib.picture.light_map import LightMap
+from lib.picture.ray_light_kernels import Places, RayEnds
 
 NEAR = 3.0  # texels: what a gathering ray meets within so many is lit by itself
 
 
 def gathered_light(surface, shown, lamps, E, p, first, last, side, n_rays, seed):
-    """Rays from places that own the points first to last of p: mean radiosity they meet (K, C), half the difference of the
-    two halves of the rays (K, C), harmonic mean distance (K,)."""
+    """What n_rays rays from each of K places meet.
+
+    p : (M, 3) local;  first, last : (K,) the points p[first:last] of each place;  side : (K,)
+    lamps, E : Emitters and their emittances (L, C)
+    Returns the mean radiosity (K, C), half the difference of the rays' two halves (K, C), and the harmonic mean
+    distance (K,).
+    """
     m, C = len(first), shown.value.shape[1]
     sequence, shift = sobol(n_rays), shifts(m, n_rays, seed)
     total, half, distance = np.zeros((m, C)), np.zeros((m, C)), np.zeros(m)
     step = max(1, CHUNK // n_rays)
+    places, arrays = Places(first, last, p, side), surface.arrays
     for a in range(0, m, step):
         b = min(m, a + step)
-        rays = kernels.cosine_rays(a, b, n_rays, sequence, shift, first, last, p, side, surface.axes, surface.normal)
+        rays = kernels.cosine_rays(a, b, sequence, shift, places, arrays)
         triangle, t = surface.caster.closest(rays)
         near, close = lit_nearby(surface, shown, lamps, E, rays, triangle, t)
-        kernels.look(
-            rays,
-            triangle,
-            t,
-            n_rays,
-            surface.facet,
-            surface.normal,
-            surface.origin,
-            surface.axes,
-            surface.size,
-            surface.inside,
-            shown.start,
-            shown.shape,
-            shown.value,
-            shown.direct,
-            near,
-            close,
-            total[a:b],
-            half[a:b],
-            distance[a:b],
+        total[a:b], half[a:b], distance[a:b] = kernels.look(
+            RayEnds(rays, triangle, t), n_rays, arrays, shown.arrays, near, close
         )
         if shown.ways is not None:
             total[a:b] += _by_ways(surface, shown, rays, triangle, t, b - a, n_rays)
@@ -54,8 +44,6 @@ def gathered_light(surface, shown, lamps, E, p, first, last, side, n_rays, seed)
 
 def _by_ways(surface, shown, rays, triangle, t, m, n_rays):
     """What m places receive from their rays after mirrors and glossy surfaces, (m, C)."""
-    from lib.light import paths
-
     f = np.where(triangle >= 0, surface.facet[triangle], 0)
     back = np.einsum("ij,ij->i", rays[:, 3:], surface.normal[f]) > 0
     counts = ~((triangle >= 0) & surface.inside[2 * f + back])
@@ -69,51 +57,38 @@ def beyond(surface: Surface, shown: LightMap, start, element, m, *, seed=11):
 
     start : lib.light.paths.Met;  element : (n,) of each ray
     """
-    from lib.light import paths, specular_lamps
-
     ways = shown.ways
     C = shown.value.shape[1]
     total = np.zeros((m, C))
+    E = ways.E[[lamp.lamp for lamp in ways.lamps]]  # of each emitter
 
     def add(met, light):
         light = light * ways.chains.power(ways.rho_s)[met.chain]
         for c in range(C):
             total[:, c] += np.bincount(element[met.source], light[:, c], m)
 
-    def at_lobe(p, facet, sign, met, group, axes, step):
-        add(
-            met,
-            specular_lamps.lobe_light(
-                surface, ways.finish, ways.lamps, p, facet, sign, met, group, axes, step, seed=seed
-            )
-            @ ways.E[[lamp.lamp for lamp in ways.lamps]],
-        )
+    def at_lobe(at):
+        add(at.met, specular_lamps.lobe_light(surface, ways.lamps, at, seed=seed) @ E)
 
     for met in paths.follow(surface, ways.finish, ways.chains, start, seed=seed, at_lobe=at_lobe):
         light = reflected_at(surface, shown, met.rays, met.triangle, met.t) * met.weight[:, None]
         which, share = specular_lamps.lamp_found(surface, ways.lamps, met, ways.chains, ways.complete)
         on = np.flatnonzero(which >= 0)
-        light[on] += share[on, None] * ways.E[np.array([lamp.lamp for lamp in ways.lamps])[which[on]]]
+        light[on] += share[on, None] * E[which[on]]
         add(met, light)
     return total
 
 
 def reflected_at(surface: Surface, shown: LightMap, rays, triangle, t):
-    """What the ends of rays reflect diffusely towards them, (n, C); nothing inside solids. Ends within three texels are lit by themselves."""
-    look = lambda which, value: kernels.reflected_at(
-        rays[which],
-        triangle[which],
-        t[which],
-        surface.facet,
-        surface.normal,
-        surface.origin,
-        surface.axes,
-        surface.size,
-        surface.inside,
-        shown.start,
-        shown.shape,
-        value,
-    )
+    """What the ends of rays reflect diffusely towards them, (n, C); nothing inside solids.
+
+    Ends that are nearer than NEAR texels are lit by themselves.
+    """
+
+    def look(which, value):
+        ends = RayEnds(rays[which], triangle[which], t[which])
+        return kernels.reflected_at(ends, surface.arrays, shown.start, shown.shape, value)
+
     light = look(slice(None), shown.value)
     if shown.ways is not None:
         near, close = lit_nearby(surface, shown, shown.ways.every, shown.ways.E_every, rays, triangle, t)
@@ -123,31 +98,18 @@ def reflected_at(surface: Surface, shown: LightMap, rays, triangle, t):
 
 
 def lit_nearby(surface, shown, lamps, E, rays, triangle, t):
-    """Where a ray ends within three texels its target is too near for a texture: a shadow in the corner matters. The number of
-    each such ray (n,), -1 for the others, and the radiosity there by direct light, from one shadow ray to each emitter (m, C)."""
+    """The radiosity by direct light where rays end within NEAR texels, from one shadow ray to each emitter.
+
+    Such an end is too near for a map of texels: a shadow in the corner matters.
+    Returns the number of each such ray (n,), -1 for the others, and the radiosities (m, C).
+    """
     near = np.full(len(rays), -1, np.int32)
     rows = np.flatnonzero(t < NEAR * shown.step) if surface.n_occluders else np.zeros(0, np.int64)
     near[rows] = np.arange(len(rows))
     light = np.zeros((len(rows), E.shape[1]), np.float32)
+    ends = RayEnds(rays, triangle, t)
     for k, lamp in enumerate(lamps):
-        shadow, factor = kernels.close_rays(
-            rows,
-            rays,
-            triangle,
-            t,
-            k,
-            surface.facet,
-            surface.normal,
-            surface.origin,
-            surface.axes,
-            surface.size,
-            shown.start,
-            shown.shape,
-            shown.open,
-            lamp.corners,
-            lamp.normal,
-            lamp.cdf,
-        )
+        shadow, factor = kernels.close_rays(rows, ends, k, surface.arrays, shown.arrays, lamp.arrays)
         lit = np.flatnonzero(factor > 0)
         factor[lit[~lamps_.reached(surface, lamp, shadow[lit])]] = 0
         light += factor[:, None] * E[lamp.lamp].astype(np.float32)

@@ -1,9 +1,10 @@
-"""What mirrors and glossy surfaces add to a picture (sections 3.3 and 4.5): recursive ray tracing, anti-aliased.
+"""What mirrors and glossy surfaces add to a picture (§3.3, §4.5): recursive ray tracing, anti-aliased.
 
-A pixel that shows a mirror shows another place in the end. Those places make a *virtual picture*, which is lit exactly as the
-real one is: exact lamps, soft shadows, gathered light. Only pixels whose neighbours show another facet, or came another way,
-are mixed from sub-pixels; each sub-pixel takes the light of the pixel beside it that shows the same thing. A glossy pixel, seen
-at once or in a mirror, adds the light in its lobe, by rays that look at the same light map as gathering rays do.
+A pixel that shows a mirror shows another place in the end. Those places make a *virtual picture*, which is lit exactly
+as the real one is: exact lamps, soft shadows, gathered light. Only pixels whose neighbours show another facet, or came
+another way, are mixed from sub-pixels. Each sub-pixel takes the light of the pixel beside it that shows the same thing.
+A glossy pixel, seen at once or in a mirror, adds the light in its lobe, by rays that look at the same light map as
+gathering rays do.
 """
 
 from __future__ import annotations
@@ -139,14 +140,24 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
 
 
 def lobes(lit: Lighting, p, facet, direction, chain, n_rays, *, seed=19):
-    """(n, C) light in the lobes of places p (n, 3) on glossy facets, seen along unit directions (n, 3) by chains (n,)."""
+    """(n, C) light in the lobes of places on glossy facets.
+
+    p : (n, 3) local, on the facets (n,);  direction : (n, 3) unit, along which they are seen by way of chains (n,)
+    """
     total = np.zeros((len(p), lit.appearance.channels))
     step = max(1, CHUNK // n_rays)
     for a in range(0, len(p), step):
         b = min(len(p), a + step)
         m = b - a
+        some = slice(a, b)
         begin = specular.from_views(
-            lit.surface, np.arange(m + 1) * n_rays, np.arange(m + 1), p[a:b], facet[a:b], direction[a:b], chain[a:b]
+            lit.surface,
+            np.arange(m + 1) * n_rays,
+            np.arange(m + 1),
+            p[some],
+            facet[some],
+            direction[some],
+            chain[some],
         )
         start, _ = begin(0, m)
         element = np.repeat(np.arange(m), n_rays)
@@ -189,8 +200,8 @@ def _smooth_edges(subject, lit, out: Reflections, mirror):
 def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
     """(n, C) what rays through mirrors show.
 
-    Lamps by few shadow rays each; other light from the pixels about (y, x) that show the same, and from the light map where
-    there are none.
+    Lamps by few shadow rays each; other light from the pixels about (y, x) that show the same, and from the light map
+    where there are none.
     """
     surface = subject.surface
     power = lit.ways.chains.power(lit.ways.rho_s)
@@ -214,7 +225,8 @@ def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
 def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections):
     """(S, C): what specular surfaces add to the fragments of the mixed pixels of the real picture.
 
-    Of mirrors it is the mean of the rays through each fragment's sub-pixels; of glossy ones, the lobe at the fragment's middle.
+    Of mirrors it is the mean of the rays through each fragment's sub-pixels, of glossy surfaces the lobe at the
+    fragment's middle.
     """
     kind = _kind(subject, pieces.facet)
     total = np.zeros((len(pieces.facet), subject.channels))

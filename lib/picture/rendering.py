@@ -3,8 +3,8 @@
     subject = read(camera=..., model=..., ...)    # lib/picture/subject.py: files, checked against each other
     picture = render(subject)                     # linear, anti-aliased
 
-The patches' balance is one small linear solve; the modules beside this one take its light to the pixels. Mixed pixels are the
-mean of their fragments by area (the A-buffer). Colours are channels C (1 or 3); a radiosity is camera-referred.
+The patches' balance is one small linear solve; the modules beside this one take its light to the pixels. Mixed pixels
+are the mean of their fragments by area (the A-buffer). Colours are channels C (1 or 3); a radiosity is camera-referred.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from lib.picture.fragments import Fragments
 from lib.picture.leaves import interpolated
 from lib.picture.lighting import lighting
 from lib.picture.pixels import Pixels, pixels
-from lib.picture.subject import Quality, Subject
+from lib.picture.subject import STANDARD, Quality, Subject
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Picture:
     facts: dict
 
 
-def render(subject: Subject, quality: Quality = Quality(), *, timing=None, trace=None) -> Picture:
+def render(subject: Subject, quality: Quality = STANDARD, *, timing=None, trace=None) -> Picture:
     """The linear picture of the subject.
 
     timing : context manager by label;  trace : called with the state of each refinement
@@ -87,22 +87,28 @@ def render(subject: Subject, quality: Quality = Quality(), *, timing=None, trace
         if mirrored is not None:
             B_there += reflections.of_fragments(subject, lit, pieces, mirrored)
         linear = compose(subject.facet.shape, seen, B, pieces, B_there)
-    facts = {
-        "iterations": lit.light.iterations,
-        "residual": lit.light.residual,
-        "penumbra_pixels": penumbra,
-        "places": len(leaves),
-        "gathering_rays": leaves.rays.sum(),
-        "texels": len(lit.shown.value),
-        "flux": {"emitted": lit.light.emitted, "absorbed": lit.light.absorbed, "escaped": lit.light.escaped},
-    }
+    facts = _facts(lit, penumbra, leaves)
     if mirrored is not None:
         facts["reflections"] = mirrored.facts
     return Picture(linear, lit.light, seen, pieces, facts)
 
 
+def _facts(lit, penumbra, leaves):
+    """For the report."""
+    light = lit.light
+    return {
+        "iterations": light.iterations,
+        "residual": light.residual,
+        "penumbra_pixels": penumbra,
+        "places": len(leaves),
+        "gathering_rays": leaves.rays.sum(),
+        "texels": len(lit.shown.value),
+        "flux": {"emitted": light.emitted, "absorbed": light.absorbed, "escaped": light.escaped},
+    }
+
+
 def _of_fragments(subject, lit, seen, by_lamps, between, pieces):
-    """(S, C) radiosity of the fragments of mixed pixels: lamps exactly, other light from the pure pixels beside them."""
+    """(S, C) radiosity of the fragments of mixed pixels: lamps exactly, other light from pure pixels beside them."""
     size = (*subject.facet.shape, subject.channels)
     direct_picture, indirect_picture = np.zeros(size), np.zeros(size)
     direct_picture[seen.y, seen.x], indirect_picture[seen.y, seen.x] = by_lamps, between
@@ -111,12 +117,16 @@ def _of_fragments(subject, lit, seen, by_lamps, between, pieces):
     direct[unseen] = fragments.beside(direct_picture, subject.facet, pieces)[0][unseen]
     others, found = fragments.beside(indirect_picture, subject.facet, pieces)
     thin = np.flatnonzero(~found)
-    others[thin] = light_map.looked_up(lit.shown.between, lit.shown, subject.surface, pieces.p[thin], pieces.side[thin])
+    p, side = pieces.p[thin], pieces.side[thin]
+    others[thin] = light_map.looked_up(lit.shown.between, lit.shown, subject.surface, p, side)
     return lit.radiosities(direct + others, pieces.facet, pieces.side, pieces.p)
 
 
 def compose(shape, seen: Pixels, B, pieces: Fragments, B_fragment):
-    """(H, W, C): pixels of one facet show its radiosity, mixed ones the mean of their fragments by area, in linear light."""
+    """(H, W, C) linear: pixels of one facet show its radiosity, mixed ones their fragments' mean by area.
+
+    B : (M, C) of the pixels seen;  B_fragment : (S, C)
+    """
     picture = np.zeros((*shape, B.shape[1]))
     picture[seen.y, seen.x] = B
     mixed = np.zeros((len(pieces.pixel), B.shape[1]))
@@ -137,9 +147,8 @@ def warm_up(channels):
     T = np.array([[1, 0, 0, -0.5], [0, 0, -1, 0.5], [0, 1, 0, 1.0], [0, 0, 0, 1]])
     camera = Camera(np.array([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), 21, 21, T)
     origin = np.broadcast_to(surface.local.points(camera.centre), (441, 3))
-    triangle, _ = surface.caster.closest(
-        np.hstack([origin, camera.rays(camera.pixels().reshape(-1, 2))]).astype(np.float32)
-    )
+    rays = np.hstack([origin, camera.rays(camera.pixels().reshape(-1, 2))]).astype(np.float32)
+    triangle, _ = surface.caster.closest(rays)
     facet = np.where(triangle >= 0, surface.facet[triangle], -1).reshape(21, 21).astype(np.int32)
     coverage = {
         "pixel": np.arange(1, dtype=np.int32),

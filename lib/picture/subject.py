@@ -23,8 +23,8 @@ from lib.picture.appearance import Appearance
 class Subject:
     """What a rendering needs. C channels: one where the photograph is grey.
 
-    transfer : how the finished picture is displayed;  traced : light past mirrors and glossy surfaces, where `fit` has traced it
-    coverage : the A-buffer, see lib/buffers/coverage.py
+    transfer : how the finished picture is displayed;  coverage : the A-buffer, see lib/buffers/coverage.py
+    traced : light past mirrors and glossy surfaces, where `fit` has traced it
     """
 
     view: View
@@ -67,7 +67,7 @@ class Subject:
 
     @property
     def counted(self):
-        """(H, W) bool: the pixels that say something of the light: of the model, no lamp, neither black nor saturated."""
+        """(H, W) bool: pixels that say something of the light: of the model, no lamp, neither black nor saturated."""
         values = self.view.photograph.values
         usable = (values > 2 / 255).all(axis=2) & ((values < 250 / 255).all(axis=2) | self.view.photograph.linear)
         return self.pure & usable & ~np.isin(self.group, self.lamp_groups)
@@ -125,10 +125,14 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
 @dataclass(frozen=True)
 class Quality:
     """n_rays : gathering rays at each place;  shadow_rays : per pixel and lamp in a penumbra
-    contact, tolerance : see indirect.gather;  lobe_rays : per pixel of a glossy surface"""
+    contact, tolerance : see indirect.gather;  lobe_rays : per pixel of a glossy surface
+    """
 
     n_rays: int = 256
     shadow_rays: int = 64
     contact: float = 0.35
     tolerance: float = 0.01
     lobe_rays: int = 64
+
+
+STANDARD = Quality()

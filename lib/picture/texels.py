@@ -1,8 +1,12 @@
-"""The light map made: direct light evaluated again at each texel, indirect light fitted through the patches and gathered once more by rays."""
+"""The light map made: direct light evaluated again at each texel, indirect light fitted through the patches.
+
+The indirect light is then gathered once more by rays.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +18,7 @@ from lib.picture import texels_kernels as kernels
 from lib.picture.light_map import LightMap
 from lib.picture.pixels import facet_triangles
 from lib.picture.ray_light import gathered_light
+from lib.picture.triangles_kernels import within
 
 TEXELS = 30_000  # about so many texels in a scene
 
@@ -36,101 +41,105 @@ def light_map(
 
     lamps : from lamps.emitters;  E : (L, C);  indirect : (N, C) what others send to the patches
     exposed : (N,) share of each patch outside solids;  rho_facet : (F, C)
+    texels : about so many;  samples : shadow rays of each to each lamp;  n_rays : gathering rays of each, or 0
     """
-    sides = np.unique(mesh.side)
+    grid = _grids(surface, np.unique(mesh.side), texels)
+    normals = surfaces.side_normals(surface)
+    f, rho = grid.side // 2, rho_facet.astype(np.float32)
+    good = within(grid.p, f, facet_triangles(surface), normals[2 * f])
+    good &= ~surfaces.covered(surface, grid.p, normals[grid.side])
+    at = np.flatnonzero(good)
+    # texels outside the facet or inside a solid take another's value
+    fill = kernels.nearest(good, grid.start[grid.sides], grid.count)
+    irradiance, whole = _by_lamps(surface, lamps, E, grid, at, normals, samples)
+    between = np.maximum(_by_patches(surface, mesh, indirect, exposed, grid, at), 0)
+    irradiance, whole = irradiance[fill], whole[fill]
+    first = irradiance * rho[f]
+
+    value = first + between[fill] * rho[f]
+    shown = LightMap(
+        grid.start, grid.shape, value, irradiance, good, first, between, whole, float(grid.step), rho, ways
+    )
+    if n_rays:
+        # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches
+        ones = np.arange(len(at))
+        between[at] = gathered_light(surface, shown, lamps, E, grid.p[at], ones, ones + 1, grid.side[at], n_rays, 650)[
+            0
+        ]
+    between = between[fill]
+    return replace(shown, value=first + between * rho[f], irradiance=irradiance + between, between=between)
+
+
+class _Grids(NamedTuple):
+    """Texels of all sides: K texels on S sides."""
+
+    sides: np.ndarray  # (S,)
+    count: np.ndarray  # (S, 2) texels along the two axes
+    start: np.ndarray  # (2 F,) int64, first texel of each side, -1
+    shape: np.ndarray  # (2 F, 2) int32
+    side: np.ndarray  # (K,) int32
+    index: np.ndarray  # (K,) number within the side
+    p: np.ndarray  # (K, 3) local, the texels' centres
+    step: float  # local, about the width of a texel
+
+
+def _grids(surface, sides, texels) -> _Grids:
     size = surface.size[sides // 2]
     step = np.sqrt(max(size.prod(axis=1).sum(), 1e-300) / texels)
-    count = np.clip(np.ceil(size / step), 3, 4096).astype(
-        np.int64
-    )  # of a rim half inside a solid at least one lies outside
+    # At least 3 texels, so that a half-buried rim keeps one outside.
+    count = np.clip(np.ceil(size / step), 3, 4096).astype(np.int64)
     n = count.prod(axis=1)
     start = np.full(2 * len(surface.normal), -1, np.int64)
     start[sides] = np.concatenate([[0], np.cumsum(n)[:-1]])
     shape = np.ones((2 * len(surface.normal), 2), np.int32)
     shape[sides] = count
-
     side = np.repeat(sides, n).astype(np.int32)
     f = side // 2
     index = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n)
     columns = shape[side, 1]
     uv = (np.stack([index // columns, index % columns], axis=1) + 0.5) * surface.size[f] / shape[side]
     p = surface.origin[f] + uv[:, :1] * surface.axes[f, 0] + uv[:, 1:] * surface.axes[f, 1]
-    normals = surfaces.side_normals(surface)
+    return _Grids(sides, count, start, shape, side, index, p, step)
 
-    good = kernels.within(p, f, *facet_triangles(surface), normals[2 * f])
-    good &= ~surfaces.covered(surface, p, normals[side])
-    at, fill = (
-        np.flatnonzero(good),
-        kernels.nearest(good, start[sides], count),
-    )  # texels outside the facet or inside a solid take another's value
-    irradiance = np.zeros((len(p), E.shape[1]), np.float32)
-    whole = np.zeros((len(p), len(lamps)), np.float32)
+
+def _by_lamps(surface, lamps, E, grid: _Grids, at, normals, samples):
+    """Irradiance (K, C) by the lamps, and the factor to each emitter if nothing stood in between (K, emitters).
+
+    at : the texels that count;  both float32
+    """
+    p, side = grid.p[at], grid.side[at]
+    irradiance = np.zeros((len(grid.p), E.shape[1]), np.float32)
+    whole = np.zeros((len(grid.p), len(lamps)), np.float32)
     for k, lamp in enumerate(lamps):
         one = [replace(lamp, lamp=0)]
-        whole[at, k] = lamps_.direct(surface, one, p[at], normals, side[at], 1, n_samples=1, shadows=False)[:, 0]
-        seen = (
-            lamps_.direct(surface, one, p[at], normals, side[at], 1, n_samples=samples, seed=71 + k)
-            if surface.n_occluders or lamp.mirrors
-            else whole[at, k : k + 1]
-        )
+        whole[at, k] = lamps_.direct(surface, one, p, normals, side, 1, n_samples=1, shadows=False)[:, 0]
+        if surface.n_occluders or lamp.mirrors:
+            seen = lamps_.direct(surface, one, p, normals, side, 1, n_samples=samples, seed=71 + k)
+        else:
+            seen = whole[at, k : k + 1]
         irradiance[at] += seen * E[lamp.lamp]
+    return irradiance, whole
+
+
+def _by_patches(surface, mesh, indirect, exposed, grid: _Grids, at):
+    """(K, C) float32 irradiance by other patches at the texels `at`: the patches' own, fitted smoothly."""
+    side, C = grid.side[at], indirect.shape[1]
     lit = np.flatnonzero(exposed > 0)
-    place, places = (
-        np.hstack([p[at], kernels.FAR * side[at, None]]),
-        np.hstack([mesh.centre[lit], kernels.FAR * mesh.side[lit, None]]),
-    )
-    between = np.zeros((len(p), E.shape[1]), np.float32)
-    rest, patch = indirect, _patch_at(mesh, side[at], index[at], shape, mesh.table_shape[side[at]])
-    number = np.maximum(np.bincount(np.maximum(patch, 0), patch >= 0, len(mesh)), 1)[:, None]
+    place = np.hstack([grid.p[at], kernels.FAR * side[:, None]])
+    places = np.hstack([mesh.centre[lit], kernels.FAR * mesh.side[lit, None]])
+    patch = _patch_at(mesh, side, grid.index[at], grid.shape, mesh.table_shape[side])
+    on, held = np.maximum(patch, 0), patch >= 0
+    texels_of_patch = np.bincount(on, held, len(mesh))
+    between = np.zeros((len(grid.p), C), np.float32)
+    rest = indirect
     for _ in range(3):
-        # a fit through hollow or domed light lies above or below it: what a patch lacks on average is added until it agrees
-        between[at] += spread(places, rest[lit], place, surface.axes[f[at]])
-        found = (
-            np.stack(
-                [
-                    np.bincount(np.maximum(patch, 0), np.where(patch >= 0, between[at, c], 0), len(mesh))
-                    for c in range(E.shape[1])
-                ],
-                axis=1,
-            )
-            / number
-        )
-        rest = np.where((np.bincount(np.maximum(patch, 0), patch >= 0, len(mesh)) > 0)[:, None], indirect - found, 0)
-    between = np.maximum(between, 0)
-    irradiance, whole = irradiance[fill], whole[fill]
-    rho = rho_facet.astype(np.float32)
-    first = irradiance * rho[f]
-    if n_rays:
-        # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches
-        once = LightMap(
-            start,
-            shape,
-            first + between[fill] * rho[f],
-            irradiance,
-            good,
-            first,
-            between,
-            whole,
-            float(step),
-            rho,
-            ways,
-        )
-        ones = np.arange(len(at))
-        between[at] = gathered_light(surface, once, lamps, E, p[at], ones, ones + 1, side[at], n_rays, 650)[0]
-    between = between[fill]
-    return LightMap(
-        start,
-        shape,
-        first + between * rho[f],
-        irradiance + between,
-        good,
-        first,
-        between,
-        whole,
-        float(step),
-        rho,
-        ways,
-    )
+        # A fit through hollow or domed light lies above or below it. What a patch lacks on average is added until the
+        # two agree.
+        between[at] += spread(places, rest[lit], place, surface.axes[side // 2])
+        sums = np.stack([np.bincount(on, np.where(held, between[at, c], 0), len(mesh)) for c in range(C)], axis=1)
+        found = sums / np.maximum(texels_of_patch, 1)[:, None]
+        rest = np.where((texels_of_patch > 0)[:, None], indirect - found, 0)
+    return between
 
 
 def _patch_at(mesh, side, index, shape, cells):

@@ -1,4 +1,4 @@
-"""Compiled: light fitted through the patches around a texel."""
+"""Compiled: light fitted through the patches around a texel, and texels that take another's value."""
 
 import numpy as np
 
@@ -10,6 +10,11 @@ FAR = 10.0  # local coordinates are smaller: facets this far apart do not mix in
 
 @njit(parallel=True)
 def fit(known, value, wanted, axes, near, distance):
+    """(M, C) a local linear fit of value (N, C), known at the points (N, 3), at each wanted point (M, 3).
+
+    axes : (M, 2, 3) of its plane
+    near, distance : (M, k) the nearest known points of each, those of other planes FAR away
+    """
     m, k = near.shape
     C = value.shape[1]
     out = np.zeros((m, C))
@@ -51,18 +56,13 @@ def fit(known, value, wanted, axes, near, distance):
     return out
 
 
-@njit(parallel=True)
-def within(p, facet, corners, start, normal):
-    """(M,) bool: the point lies in one of its facet's triangles."""
-    out = np.zeros(len(p), np.bool_)
-    for i in prange(len(p)):
-        out[i] = holds(p[i], corners, start[facet[i]], start[facet[i] + 1], normal[i])
-    return out
-
-
 @njit()
 def nearest(good, start, count):
-    """(K,) for each texel a good one of its side as few steps away as any (itself where it is good, or where none is)."""
+    """(K,) for each texel a good one of its side, as few steps away as any.
+
+    That is the texel itself where it is good, or where none is.
+    good : (K,);  start : (n,), count : (n, 2) of each side
+    """
     source = np.arange(len(good))
     queue = np.empty(len(good), np.int64)
     for s in range(len(start)):
@@ -86,20 +86,3 @@ def nearest(good, start, count):
                     queue[tail] = j
                     tail += 1
     return source
-
-
-@njit(inline="always")
-def holds(p, corners, a, b, normal):
-    """Whether one of the triangles a to b of a facet holds the point of its plane."""
-    for t in range(a, b):
-        inside = True
-        for e in range(3):
-            o, q = corners[t, e], corners[t, (e + 1) % 3]
-            x0, x1, x2 = q[0] - o[0], q[1] - o[1], q[2] - o[2]
-            y0, y1, y2 = p[0] - o[0], p[1] - o[1], p[2] - o[2]
-            if (x1 * y2 - x2 * y1) * normal[0] + (x2 * y0 - x0 * y2) * normal[1] + (x0 * y1 - x1 * y0) * normal[2] < 0:
-                inside = False
-                break
-        if inside:
-            return True
-    return False

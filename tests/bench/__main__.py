@@ -166,7 +166,7 @@ def solver_curves(log):
             radiosity.solve(E, reflects, factors, method=method, max_iterations=3, area=mesh.area, **more)  # warm-up
         exact = radiosity.solve(E, reflects, factors, method="direct")
         mean = (mesh.area * exact.B).sum() / mesh.area.sum()
-        result.append((rho, "direct", 1, exact.trace[-1][1], 1e-15 * exact.B.max() / mean))
+        result.append((rho, "direct", 1, exact.trace[-1].cpu_s, 1e-15 * exact.B.max() / mean))
         for method, more in ways:
             name = "+".join([method, *more])
             seen = []
@@ -183,7 +183,7 @@ def solver_curves(log):
                 every=len(mesh) // 8,
                 **more,
             )
-            result += [(rho, name, k, cpu, e) for (k, cpu, _), e in zip(s.trace, seen, strict=False)]
+            result += [(rho, name, step.iteration, step.cpu_s, e) for step, e in zip(s.trace, seen, strict=False)]
             log(*result[-1])
     return ("rho", "method", "iteration", "cpu_s", "error"), result
 
