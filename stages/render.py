@@ -23,7 +23,7 @@ import sys
 from pathlib import Path
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
-from lib.core import stage
+from lib.core import packages, stage
 
 GAIN = 5.0  # of the difference picture
 
@@ -55,14 +55,14 @@ def main(opt):
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
-            import cv2  # noqa: F401  these three where lib/ imports late
-            import open3d  # noqa: F401
+            import cv2  # noqa: F401  these where lib/ imports late
             import OpenEXR  # noqa: F401
 
             from lib.picture import display, phong, rendering
             from lib.picture import subject as subjects
 
-            display.load_colour()
+            packages.open3d()
+            packages.colour()
         files = "model camera photograph facet formfactors materials coverage specular"
         subject = subjects.read(**{name: getattr(opt, name) for name in files.split()})
         for text in subject.warnings:

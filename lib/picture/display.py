@@ -3,21 +3,22 @@
     shown = finished(B, kind, photograph, group, pure, gamma)      # any transfer of scene.yaml
     rmse(shown, photograph), ciede2000(shown, photograph)
 
-`gamma`, `linear` and `srgb` are functions of B alone. The paper's other candidates look at the photograph and are
+Functions of B alone are `transfer_kinds.OF_LIGHT`. The paper's other candidates look at the photograph and are
 applied to the finished picture only, after reflectances fitted as under `linear`: `linear_per_group` (figure 4.4,
 right), `histogram` and `histogram_per_group` (figure 4.5).
 """
 
 from __future__ import annotations
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
 
-from lib.given.transfer import Transfer
+from lib.core import packages
+from lib.given.transfer import CURVES, Transfer
+from lib.given.transfer_kinds import KINDS
 
-KINDS = ("gamma", "linear", "srgb", "linear_per_group", "histogram", "histogram_per_group")
+AS_FITTED = ("gamma", *CURVES)  # reflectances are fitted under these as they are, under the others as under `linear`
 NOTES = {
     "linear_per_group": "[min, max] of each group and channel taken to the photograph's",
     "histogram": "one T = E2^-1(E1(B)) for all channels",
@@ -34,7 +35,7 @@ def finished(B, kind, photograph, group, pure, gamma=1.0):
     """
     if kind == "linear":
         return np.clip(B, 0, 1)
-    if kind in ("gamma", "srgb"):
+    if kind in AS_FITTED:
         return Transfer(kind, gamma).display(B)
     if kind == "histogram":
         # one function for the picture, all channels together: the camera has one transfer function
@@ -75,17 +76,9 @@ def rmse(a, b):
     return float(np.sqrt(np.mean((a - b) ** 2))) if a.size else 0.0
 
 
-def load_colour():
-    """colour-science, which takes a second to import and grumbles about optional packages."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import colour
-    return colour
-
-
 def ciede2000(a, b):
     """(...,) colour difference of display values read as sRGB, (..., C) in [0, 1]; grey is three equal channels."""
-    colour = load_colour()
+    colour = packages.colour()
     lab = []
     for values in (a, b):
         values = np.broadcast_to(values, (*values.shape[:-1], 3)) if values.shape[-1] == 1 else values
@@ -148,7 +141,7 @@ def transfer_models(B, photograph, group, pure, kind, gamma, fitted):
 
 def _under(kind):
     """The transfer function under which reflectances are fitted for a kind."""
-    return kind if kind in ("gamma", "srgb") else "linear"
+    return kind if kind in AS_FITTED else "linear"
 
 
 class Sample(NamedTuple):

@@ -9,6 +9,7 @@ import numpy as np
 from lib.core import artefact
 from lib.core.stage import BadInput
 from lib.given.transfer import Transfer, display_of_linear
+from lib.given.transfer_kinds import OF_LIGHT
 from lib.given.view import View
 from lib.light import factors_file, specular_file
 from lib.light import surface as surfaces
@@ -80,7 +81,7 @@ class Subject:
     @property
     def simple(self):
         """Whether T() is a function of the radiosity alone."""
-        return self.view.photograph.linear or self.transfer.kind in ("gamma", "linear", "srgb")
+        return self.view.photograph.linear or self.transfer.kind in OF_LIGHT
 
     def show(self, B):
         """Linear -> display values in [0, 1], any shape for gamma, linear and srgb, whole pictures for the others."""
