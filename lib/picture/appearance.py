@@ -49,7 +49,7 @@ def read(path, groups, lamps, channels, n_facets):
         if name in lamps:
             continue
         group = found.groups[name]
-        if _is_specular(group):
+        if group.is_specular:
             specular.append((g, group))
         if group.in_balance is None:
             warnings.append(f"group {name!r} has no reflectance, measured or assumed: it is rendered black")
@@ -64,10 +64,6 @@ def read(path, groups, lamps, channels, n_facets):
     return Appearance(rho, E, finish, rho_s, _maps(path, found, n_facets, channels)), found, warnings
 
 
-def _is_specular(group):
-    return group.is_mirror or group.kind == "glossy"
-
-
 def _problems(found, groups, lamps):
     """Yields what is missing for a rendering, "field: what"."""
     for name in groups:
@@ -76,7 +72,7 @@ def _problems(found, groups, lamps):
             continue
         if group is None:
             yield f"group {name!r}: missing"
-        elif _is_specular(group):
+        elif group.is_specular:
             needed = ("rho_s",) if group.is_mirror else ("rho_s", "alpha")
             missing = [key for key in needed if getattr(group, key) is None]
             yield from (f"group {name!r}: {key} = None: a {group.kind} group needs it" for key in missing)
