@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """§2.2 Region matching: pairs of regions, left and right, that show the same planar facet.
 
-    $ stages/match.py --photograph left.png --photograph-right right.png --regions left.regions.png --regions-right right.regions.png \
+    $ stages/match.py --photograph left.png --photograph-right right.png \\
+          --regions left.regions.png --regions-right right.regions.png \\
           --camera left.cameramodel --camera-right right.cameramodel --matches matches.csv --report match.report.json
 
 reads   photographs, regions, cameras (pinholes, extrinsics in one frame)
@@ -31,38 +32,36 @@ def options():
 def main(opt):
     from lib.core.report import Report
 
-    paths = (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
     with Report.of(opt) as report:
         with report.excluded("imports"):
-            import cv2  # noqa: F401
+            import cv2  # noqa: F401  where lib/ imports late
+            import numpy as np
 
             from lib.core import artefact
-            from lib.vision import matching  # noqa: F401  what read_pair imports late
+            from lib.vision import matching
+            from lib.vision.matches import write_matches
         with report.excluded("compile"):
             matching.warm_up()
         with report.timing("read"):
-            pair, values, labels = matching.read_pair(opt.camera, opt.camera_right, *paths)
+            pair, values, labels = matching.read_pair(
+                (opt.camera, opt.camera_right), (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
+            )
         with report.timing("match"):
             matches = matching.match(pair, *labels, *values, similarity=opt.similarity, smallest=opt.smallest)
 
+        labels = {"left": labels[0], "right": labels[1]}
+        matched = {"left": matches.left, "right": matches.right}
+        refused = {"left": matches.refused_left, "right": matches.refused_right}
         report["matched"] = len(matches.left)
-        report["regions"] = {
-            side: int(len(set(x.ravel().tolist()) - {0})) for side, x in zip(("left", "right"), labels)
-        }
-        report["covered"] = {
-            side: matching.share(x, found)
-            for side, x, found in zip(("left", "right"), labels, (matches.left, matches.right))
-        }
-        report["refused"] = {
-            side: {why: len(which) for why, which in refused.items()}
-            for side, refused in (("left", matches.refused_left), ("right", matches.refused_right))
-        }
-        report["refused_labels"] = {"left": matches.refused_left, "right": matches.refused_right}
+        report["regions"] = {side: int(np.count_nonzero(np.unique(x))) for side, x in labels.items()}
+        report["covered"] = {side: matching.share(x, matched[side]) for side, x in labels.items()}
+        report["refused"] = {side: {why: len(which) for why, which in of.items()} for side, of in refused.items()}
+        report["refused_labels"] = refused
         if len(matches.left) == 0:
             report.status = "nothing matched"
             report.warning(f"{opt.regions}: none of its regions has a partner in {opt.regions_right}")
         with artefact.writing(opt.matches) as partial:
-            artefact.write_matches(partial, zip(matches.left, matches.right, matches.similarity))
+            write_matches(partial, zip(matches.left, matches.right, matches.similarity, strict=True))
 
 
 if __name__ == "__main__":

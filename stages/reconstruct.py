@@ -1,12 +1,15 @@
 #!/usr/bin/env python3
 """§2.3 Reconstruction: the plane of each matched pair of regions, with its covariance, and the region's outline on it.
 
-    $ stages/reconstruct.py --photograph left.png --photograph-right right.png --regions left.regions.png --regions-right right.regions.png \
-          --camera left.cameramodel --camera-right right.cameramodel --matches matches.csv --facets facets.json --mesh facets.ply
+    $ stages/reconstruct.py --photograph left.png --photograph-right right.png \\
+          --regions left.regions.png --regions-right right.regions.png --camera left.cameramodel \\
+          --camera-right right.cameramodel --matches matches.csv --facets facets.json --mesh facets.ply
 
-reads   photographs, regions, cameras (pinholes, extrinsics in one frame), matches; orientation where the pair has no scale
+reads   photographs, regions, cameras (pinholes, extrinsics in one frame), matches
+        orientation    where the pair has no scale
 writes  facets         planes, polygons, covariances in the left camera's frame, and what was refused, and why
         mesh           the same to look at
+The report's trace holds after each step how far borders are apart: the median over the pairs, px.
 """
 
 import sys
@@ -29,28 +32,37 @@ def options():
 def main(opt):
     from lib.core.report import Report
 
-    paths = (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
     with Report.of(opt) as report:
         with report.excluded("imports"):
-            import cv2  # noqa: F401
+            import cv2  # noqa: F401  where lib/ imports late
             import mapbox_earcut  # noqa: F401
 
             from lib.core import artefact
             from lib.vision import matching
-            from lib.vision.facets import facets_file  # noqa: F401  what read_pair imports late
+            from lib.vision.facets import facets_file
             from lib.vision.facets import planes as facets
+            from lib.vision.matches import read_matched_labels
         with report.excluded("compile"):
             facets.warm_up()
         with report.timing("read"):
-            pair, values, labels = matching.read_pair(opt.camera, opt.camera_right, *paths)
-            left, right = matching.read(opt.matches, *labels)
+            pair, values, labels = matching.read_pair(
+                (opt.camera, opt.camera_right), (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
+            )
+            left, right = read_matched_labels(opt.matches, *labels)
             unit = facets_file.unit_of(opt.orientation)
+
+        def trace(step, planes, apart):
+            with report.excluded("measuring"):
+                apart_px = apart()
+            report.trace(step=step, planes=planes, borders_apart_px=apart_px)
+
         with report.timing("reconstruct"):
-            found, refused, sigma_side = facets.reconstruct(
-                pair, labels, values, left, right, progress=stage.Bar("facets")
+            found, refused, side_sigma_px = facets.reconstruct(
+                pair, labels, values, left, right, progress=stage.Bar("facets"), trace=trace
             )
 
         report["facets"], report["refused"] = len(found), facets_file.reasons(refused)
+        report["side_sigma_px"] = side_sigma_px
         report["covered"] = matching.share(labels[0], [x.left_label for x in found])
         report["unit"] = unit
         if not found:

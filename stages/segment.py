@@ -5,8 +5,9 @@
           --regions left.regions.png --regions-right right.regions.png --report segment.report.json
 
 reads   photograph, photograph_right   8 or 16 bits as stored; linear light (EXR) as clip(B, 0, 1)^(1/2.2)
-writes  regions, regions_right         labels from 1, each one 4-connected region; 16 bits. More than 65,535 regions: 32 bits
-                                       under the same name but .tif, and the .png is a link to it, for Make and the stages below
+writes  regions, regions_right         labels from 1, each one 4-connected region; 16 bits.
+                                       More than 65,535 regions: 32 bits under the same name but .tif, and the .png is
+                                       a link to it, for Make and the stages below
 The report holds lambda, one for both photographs, and each side's energy and number of regions.
 """
 
@@ -40,7 +41,7 @@ def options():
         type=cost,
         default="auto",
         metavar="LAMBDA",
-        help="cost of one differing neighbour pair, image in [0, 1]; auto: from the noise, texture and size of the photographs",
+        help="cost of one differing neighbour pair, image in [0, 1]; auto: from noise, texture and size of the image",
     )
     return parser
 
@@ -63,7 +64,7 @@ def main(opt):
 
         sides = {"left": (opt.photograph, opt.regions), "right": (opt.photograph_right, opt.regions_right)}
         sides = {side: paths for side, paths in sides.items() if paths[0]}
-        pictures = {side: segmentation.displayed(image.read_photograph(path)) for side, (path, _) in sides.items()}
+        pictures = {side: image.read_photograph(path).display for side, (path, _) in sides.items()}
         weight = segmentation.auto_lambda(*pictures.values()) if opt.weight == "auto" else opt.weight
         report["lambda"] = weight
         regions = {}
@@ -86,7 +87,7 @@ def main(opt):
             side: name.with_suffix(".tif") if regions[side].max() > 65535 else name for side, name in names.items()
         }
         with artefact.writing_all(*files.values()) as partials:
-            for partial, labels in zip(partials, regions.values()):
+            for partial, labels in zip(partials, regions.values(), strict=True):
                 image.write_labels(partial, labels)
         for side, name in names.items():
             wide = name.with_suffix(".tif")

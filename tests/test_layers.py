@@ -55,9 +55,7 @@ LATE = {
     ("lib.planning.folder", "lib.given.view"): "the same",
 }
 LONGEST = 500  # lines of a module
-LONG = {
-    "lib.vision.segmentation_kernels": "the kernels of one algorithm, which call each other",
-}
+LONG = {}
 
 # What is not done yet; empty these lists.
 LATE_FOR_NOW = (

@@ -7,10 +7,12 @@ import time
 import numpy as np
 import pytest
 
+from lib.core.stage import BadInput
 from lib.given import cameras, image
 from lib.given.cameras import Camera
 from lib.vision import matching
 from lib.vision import matching_kernels as kernels
+from lib.vision.matches import read_matched_labels
 from tests.helpers import pairs
 from tests.helpers.pairs import parallel
 
@@ -25,7 +27,7 @@ def found(Q, sigma=0.01, seed=0, **options):
 
 
 def test_a_plane_is_a_linear_disparity():
-    """By hand: points of a plane, projected by both cameras, lie in one rectified row, f_px baseline m . x_rect apart."""
+    """By hand: both cameras see points of a plane in one rectified row, f_px baseline m . x_rect apart."""
     rng = np.random.default_rng(1)
     for seed in range(5):
         Q = pairs.quads(seed)
@@ -56,8 +58,10 @@ def test_no_baseline_is_no_pair():
     ids=["colour", "grey", "parallel", "10 degrees", "steep"],
 )
 def test_every_quadrilateral_finds_its_own(options):
-    """15 scenes: no wrong pair, and nearly all of them found; best first; one to one. (The wall behind them reaches beyond the picture
-    on all sides: it has no outline of its own.)"""
+    """15 scenes: no wrong pair, and nearly all of them found; best first; one to one.
+
+    The wall behind them reaches beyond the picture on all sides: it has no outline of its own.
+    """
     total = 0
     for seed in range(15):
         matches = found(pairs.quads(seed, **options))
@@ -84,7 +88,7 @@ def test_left_and_right_exchanged():
         values = Q.noisy(0.01, np.random.default_rng(0))
         one = matching.match(matching.stereo(Q.left, Q.right), *Q.labels, *values)
         two = matching.match(matching.stereo(Q.right, Q.left), *Q.labels[::-1], *values[::-1])
-        assert set(zip(one.left, one.right)) == set(zip(two.right, two.left))
+        assert set(zip(one.left, one.right, strict=True)) == set(zip(two.right, two.left, strict=True))
 
 
 def test_identical_photographs_of_parallel_cameras_match_nothing():
@@ -179,7 +183,7 @@ def test_stage_writes_the_contract(run, pair_files, tmp_path):
     assert similarity == sorted(similarity, reverse=True) and 0 < min(similarity) <= max(similarity) <= 1
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["matched"] == len(rows) and report["regions"] == {"left": 7, "right": 7}
-    l, r = matching.read(tmp_path / "matches.csv", *Q.labels)
+    l, r = read_matched_labels(tmp_path / "matches.csv", *Q.labels)
     assert (l == r).all() and len(l) == len(rows)
 
 
@@ -218,5 +222,5 @@ def test_matches_that_cannot_be_read(tmp_path, content, word):
     path = tmp_path / "matches.csv"
     path.write_text(content)
     labels = np.array([[1, 2], [1, 2]])
-    with pytest.raises(matching.BadInput, match=word):
-        matching.read(path, labels, labels)
+    with pytest.raises(BadInput, match=word):
+        read_matched_labels(path, labels, labels)

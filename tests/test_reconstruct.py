@@ -41,7 +41,10 @@ def angle_deg(m, true):
 
 
 def test_coverage_of_true_regions():
-    """100 scenes of 6 exact quadrilaterals, each with its own planes, camera and noise: of 95 % regions, 90 to 98 % hold the truth."""
+    """100 scenes of 6 exact quadrilaterals: of 95 % regions, 90 to 98 % hold the truth.
+
+    Each scene has its own planes, camera and noise.
+    """
     inside = []
     for seed in range(100):
         Q = pairs.quads(seed)
@@ -70,8 +73,10 @@ def test_coverage_of_texture():
 
 
 def test_baseline_towards_zero():
-    """Sigma of m is that of the disparity over f baseline: facet by facet it grows like 1 / baseline, and still tells the truth, until
-    the facet is refused because its direction is no longer known."""
+    """Sigma of m is that of the disparity over f baseline: facet by facet it grows like 1 / baseline.
+
+    It still tells the truth, until the facet is refused because its direction is no longer known.
+    """
     sigma, count = {}, {}
     for baseline in (0.4, 0.1, 0.025):
         inside = []
@@ -112,18 +117,18 @@ def test_metres_or_millimetres():
 
 
 def test_the_slope_of_the_contours_by_difference():
-    """The coefficients of (a, b, c) against finite differences of the residual, at fixed correspondences, at two step sizes."""
+    """Coefficients of (a, b, c) against finite differences of the residual: fixed correspondences, two step sizes."""
     Q = pairs.quads(1)
     pair = matching.stereo(Q.left, Q.right)
-    edges = [borders.borders(pair, l, v, [2], side, 0.003) for l, v, side in zip(Q.labels, Q.values, ("left", "right"))]
-    left, right = borders.of(edges[0], 2), borders.of(edges[1], 2)
+    pictures = zip(Q.labels, Q.values, ("left", "right"), strict=True)
+    left, right = (borders.borders(pair, l, v, [2], side, 0.003).of(2) for l, v, side in pictures)
     m = pair.R_rect_left @ Q.m[2] * pair.baseline
     plane = np.array([m[0], m[1], m[2] * pair.f_px])
-    part = np.zeros(len(left[0]), int)
+    part = np.zeros(len(left.uv), int)
 
     def rows(p):
-        out = np.empty((len(part), 10))
-        n = kernels.contour_rows(p, 0.0, 0.0, 4.0, 1.0, *left, part, *right, out)
+        out = np.empty((len(part), kernels.COLUMNS))
+        n = kernels.contour_rows(p, (0.0, 0.0), 4.0, 1.0, left, part, right, out)
         return out[:n]
 
     base = rows(plane)
@@ -131,7 +136,10 @@ def test_the_slope_of_the_contours_by_difference():
         moved = rows(plane + np.eye(3)[k] * step)
         assert len(moved) == len(base)
         np.testing.assert_allclose(
-            (moved[:, 3] - base[:, 3]) / step, base[:, k], rtol=1e-3, atol=1e-3 * np.abs(base[:, k]).max()
+            (moved[:, kernels.RESIDUAL] - base[:, kernels.RESIDUAL]) / step,
+            base[:, k],
+            rtol=1e-3,
+            atol=1e-3 * np.abs(base[:, k]).max(),
         )
 
 
@@ -152,8 +160,11 @@ def test_pictures_without_noise():
 
 
 def test_chessboards():
-    """The 13 real pairs, calibrated with OpenCV here: the board's plane from its region against the plane through its triangulated
-    corners, within 0.5 degree and 0.5 % of depth (measured: 0.12 degree, 0.11 %)."""
+    """The 13 real pairs, calibrated with OpenCV here: within 0.5 degree and 0.5 % of depth.
+
+    The board's plane from its region, against the plane through its triangulated corners (measured: 0.12 degree,
+    0.11 %).
+    """
     import cv2
 
     nx, ny = 9, 6
@@ -217,7 +228,7 @@ def test_chessboards():
 
 @pytest.mark.parametrize("scene", ["venus", "sawtooth"])
 def test_middlebury(scene, run, tmp_path):
-    """From the photographs through the stages: median disparity error of the accepted facets, and how much of the picture they cover."""
+    """From the photographs through the stages: the facets' median disparity error, and how much they cover."""
     folder = DATA / scene
     words = {
         "photograph": folder / "left.png",
@@ -238,7 +249,11 @@ def test_middlebury(scene, run, tmp_path):
     for stage in (
         ["stages/segment.py", *both, "--lambda", "1"],
         ["stages/match.py", *more],
-        ["stages/reconstruct.py", *more, "--facets", tmp_path / "facets.json", "--mesh", tmp_path / "facets.ply"],
+        [
+            "stages/reconstruct.py",
+            *(*more, "--facets", tmp_path / "facets.json", "--mesh", tmp_path / "facets.ply"),
+            *("--report", tmp_path / "r.json"),
+        ],
     ):
         result = run(*stage)
         assert result.returncode == 0, result.stderr
@@ -246,7 +261,9 @@ def test_middlebury(scene, run, tmp_path):
     labels = image.read_labels(tmp_path / "l.png")
     truth = image.read_photograph(folder / "truth" / "disparity.png").values[..., 0] * 255 / 8
     error, covered = [], 0
-    for x in json.loads((tmp_path / "facets.json").read_text())["facets"]:
+    found = json.loads((tmp_path / "facets.json").read_text())["facets"]
+    check_trace(json.loads((tmp_path / "r.json").read_text()), planes=len(found))
+    for x in found:
         here = labels == x["left_label"]
         m = np.array(x["plane"]["n"]) / x["plane"]["d"]
         disparity = (
@@ -279,7 +296,10 @@ def test_borders_along_the_epipolar_lines():
 
 
 def test_region_at_the_picture_border():
-    """Cut by the left border: that side is no border of the facet; the other three give the plane where they can, and it is the right one."""
+    """Cut by the left border: that side is no border of the facet.
+
+    The other three give the plane where they can, and it is the right one.
+    """
     Q = band(lambda y, x: 1 + ((y >= 30 + 0.1 * x) & (y < 80 - 0.1 * x) & (x < 90)))
     found, refused = reconstructed(Q)
     if 2 in found:
@@ -352,6 +372,19 @@ def test_noise_is_no_texture():
 # -- from outside
 
 
+def check_trace(report, planes):
+    """The contract of `trace`: clocks that run, within the report's time; borders get no farther apart on the way."""
+    trace = report["trace"]
+    assert [t["step"] for t in trace] == ["outline", "contours", "texture", "texture", "sides"]
+    assert [t["iteration"] for t in trace] == list(range(len(trace)))
+    for clock in ("cpu_s", "wall_s"):
+        times = [t[clock] for t in trace]
+        assert times == sorted(times) and times[0] > 0 and times[-1] <= report[clock]
+    assert trace[1]["wall_s"] > trace[0]["wall_s"]
+    assert all(t["planes"] >= planes for t in trace)
+    assert trace[-1]["borders_apart_px"] <= 1.1 * trace[0]["borders_apart_px"] < 1
+
+
 def test_stage_writes_the_contract(run, pair_files, tmp_path):  # noqa: F811
     Q = pairs.quads(2)
     words = [*pair_files(Q), "--matches", tmp_path / "matches.csv"]
@@ -384,6 +417,7 @@ def test_stage_writes_the_contract(run, pair_files, tmp_path):  # noqa: F811
             assert np.linalg.eigvalsh(C)[0] > 0 and 0.6 <= x["overlap"] <= 1
             assert angle_deg(n / d, Q.m[x["left_label"]]) < 1
     report = json.loads((tmp_path / "r.json").read_text())
+    check_trace(report, planes=6)
     assert report["facets"] == 6 and report["timings"]["reconstruct"]["wall_s"] < 5
     import trimesh
 
@@ -392,7 +426,7 @@ def test_stage_writes_the_contract(run, pair_files, tmp_path):  # noqa: F811
 
 
 def test_polygon_corners_to_a_fraction_of_a_pixel():
-    """The outline's corners, projected back, against the true corners (recovered from the exact regions' planes): within half a pixel."""
+    """The outline's corners, projected back, against the extent and the area of the exact region."""
     Q = pairs.quads(5)
     found, _ = reconstructed(Q, sigma=0.005)
     for label, x in found.items():
@@ -428,3 +462,26 @@ def test_stage_refuses(refuses, pair_files, files_under, tmp_path):  # noqa: F81
     (tmp_path / "matches.csv").write_text("left_label,right_label,similarity\n1,1,0.9\n")
     (line,) = refuses("stages/reconstruct.py", *words)
     assert "same centre" in line
+
+
+def test_stage_traces_pairs_that_give_no_plane(run, pair_files, tmp_path):
+    """A report is JSON: where no borders meet, how far they are apart is null."""
+    Q = band(lambda y, x: 1 + ((y >= 40) & (y < 80)))
+    words = [*pair_files(Q), "--matches", tmp_path / "matches.csv"]
+    (tmp_path / "matches.csv").write_text("left_label,right_label,similarity\n2,2,0.9\n")
+    result = run(
+        "stages/reconstruct.py",
+        *(
+            *words,
+            "--facets",
+            tmp_path / "facets.json",
+            "--mesh",
+            tmp_path / "facets.ply",
+            "--report",
+            tmp_path / "r.json",
+        ),
+    )
+    assert result.returncode == 0, result.stderr
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert report["status"] == "nothing reconstructed" and len(report["trace"]) == 5
+    assert report["trace"][-1]["planes"] == 0 and report["trace"][-1]["borders_apart_px"] is None

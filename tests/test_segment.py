@@ -1,7 +1,8 @@
-"""§2.1, equation 2.1: the energy itself, pictures whose minimum is known, the laws at the extremes, the peers' energies."""
+"""§2.1, equation 2.1: the energy itself, pictures with a known minimum, laws at the extremes, the peers' energies."""
 
 import json
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -124,7 +125,7 @@ def test_two_tones_exactly(channels, weight):
 
 @pytest.mark.parametrize("side", [4, 10, 25])
 def test_a_square_stays_while_it_pays(side):
-    """A square of side l and contrast d on a large ground is a region exactly while C l^2 d^2 (1 - l^2 / N) > 4 l lambda."""
+    """A square of side l and contrast d on a large ground is a region while C l^2 d^2 (1 - l^2 / N) > 4 l lambda."""
     d, n = 0.2, 96
     picture = np.full((n, n, 3), 0.4)
     picture[40 : 40 + side, 30 : 30 + side] += d
@@ -166,7 +167,7 @@ def test_lambda_zero_is_every_constant_area():
 
 
 def test_lambda_tends_to_zero():
-    """Below what any merge costs, the answer is that of lambda 0; so it is for ten thousand regions of a chessboard of noise."""
+    """Below what any merge costs the answer is that of lambda 0, for ten thousand regions of a chessboard of noise."""
     picture = np.kron(np.random.default_rng(6).permutation(10000).reshape(100, 100) / 10000.0, np.ones((2, 2)))[
         ..., None
     ]
@@ -204,7 +205,10 @@ def test_pure_noise_ends_at_any_lambda():
 
 
 def test_energy_rises_with_lambda_and_regions_fall(astronaut):
-    """The least energy rises with lambda and is concave; ours is near enough to the least for the first and, within 1 %, for the second."""
+    """The least energy rises with lambda and is concave.
+
+    Ours is near enough to the least for the first and, within 1 %, for the second.
+    """
     weights = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 20, 100]
     energy, count = [], []
     for weight in weights:
@@ -212,7 +216,8 @@ def test_energy_rises_with_lambda_and_regions_fall(astronaut):
         energy.append(segmentation.energy(astronaut, labels, weight))
         count.append(labels.max())
     assert energy == sorted(energy) and count == sorted(count, reverse=True)
-    for (a, b, c), (E, F, G) in zip(zip(weights, weights[1:], weights[2:]), zip(energy, energy[1:], energy[2:])):
+    for k in range(1, len(weights) - 1):
+        (a, b, c), (E, F, G) = weights[k - 1 : k + 2], energy[k - 1 : k + 2]
         assert 0.99 * (E + (G - E) * (b - a) / (c - a)) < F
 
 
@@ -220,13 +225,13 @@ def test_merging_gives_the_path_in_one_run(astronaut):
     """Nested partitions; what one run gives at a lambda is what a run up to that lambda alone gives."""
     weights = [0.02, 0.2, 2.0]
     path = list(segmentation.merging(astronaut, weights))
-    for fine, coarse in zip(path, path[1:]):
+    for fine, coarse in pairwise(path):
         assert len(np.unique(fine.astype(np.int64) * 10**6 + coarse)) == fine.max()
     (alone,) = segmentation.merging(astronaut, weights[1:2])
     assert segmentation.energy(astronaut, alone, 0.2) == pytest.approx(
         segmentation.energy(astronaut, path[1], 0.2), rel=0.005
     )
-    for weight, labels in zip(weights, path):
+    for weight, labels in zip(weights, path, strict=True):
         assert segmentation.energy(astronaut, segmentation.segment(astronaut, weight), weight) < segmentation.energy(
             astronaut, labels, weight
         )
@@ -238,11 +243,14 @@ def test_every_step_lowers_the_energy(astronaut):
         astronaut, 0.1, trace=lambda step, labels: steps.append((step, segmentation.energy(astronaut, labels, 0.1)))
     )
     assert [step for step, _ in steps[:3]] == ["start", "merged", "moved"]
-    assert all(after <= before for (_, before), (_, after) in zip(steps, steps[1:]))
+    assert all(after <= before for (_, before), (_, after) in pairwise(steps))
 
 
 def test_transposing_mirroring_offset_and_scale(astronaut):
-    """Energy of the transpose or the mirror image within 0.5 %; adding a constant, or multiplying by s with s^2 lambda, within 0.2 %."""
+    """The energy of the transpose, of the mirror image and of the picture plus a constant: the same within 0.5 %.
+
+    Of s times the picture with s^2 lambda: s^2 times as much, within 0.2 %.
+    """
 
     def found(picture, weight):
         return segmentation.energy(picture, segmentation.segment(picture, weight), weight)
@@ -281,7 +289,10 @@ def test_texture_that_fills_the_picture_is_one_region():
 
 
 def test_auto_keeps_facets_and_leaves_shading_whole():
-    """The law of auto_lambda on a square a 24th of the side: contrast 0.06 is at the limit; a ramp of 0.1 over it does not cut it."""
+    """The law of auto_lambda on a square a 24th of the side: contrast 0.06 is at the limit.
+
+    A ramp of 0.1 over it does not cut it.
+    """
     n = 480
     for contrast, ramp, regions in ((0.07, 0.0, 2), (0.05, 0.0, 1), (0.09, 0.1, 2)):
         picture = np.full((n, n, 3), 0.3)
@@ -295,7 +306,7 @@ def test_auto_keeps_facets_and_leaves_shading_whole():
 
 @pytest.mark.parametrize("side", [256, 512])
 def test_energy_against_pottslab(side):
-    """At most Pottslab's energy (measured once with pottslab 1.0.1, anisotropic, default settings), with room to spare."""
+    """At most Pottslab's energy, with room to spare (measured with pottslab 1.0.1, anisotropic, default settings)."""
     picture = segment_bench.picture(side)
     for weight, peer in segment_bench.POTTSLAB[side].items():
         began = time.process_time()

@@ -6,9 +6,7 @@ removes it (`remove_partials`, called by lib/planning/plan.py).
 """
 
 import contextlib
-import csv
 import json
-import math
 import os
 import re
 import zipfile
@@ -151,39 +149,3 @@ def read_npz(path, *keys) -> dict:
     if missing:
         raise BadInput(*(f"{path}: {key}: the array is missing" for key in missing))
     return arrays
-
-
-# ---- matches.csv ----
-
-MATCHES = ("left_label", "right_label", "similarity")
-
-
-def read_matches(path) -> list[tuple[int, int, float]]:
-    """[(left label, right label, similarity)] of matches.csv, best first.  BadInput names line, column and value."""
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file, strict=True))
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: not a readable CSV file: {error}") from None
-    if not rows or tuple(rows[0]) != MATCHES:
-        raise BadInput(f"{path}: header: {','.join(rows[0]) if rows else 'nothing'!r} is not {','.join(MATCHES)!r}")
-    matches, seen = [], (set(), set())
-    for line, row in enumerate(rows[1:], 2):
-        try:
-            match = int(row[0]), int(row[1]), float(row[2])
-            if len(row) != 3 or not math.isfinite(match[2]):
-                raise ValueError
-        except (ValueError, IndexError):
-            raise BadInput(f"{path}: line {line}: {','.join(row)!r} is not two labels and a number") from None
-        for name, label, known in zip(MATCHES, match, seen, strict=False):
-            if label in known:
-                raise BadInput(f"{path}: line {line}: {name}: {label} stands there twice")
-            known.add(label)
-        matches.append(match)
-    return matches
-
-
-def write_matches(path, matches):
-    """To a path as it is; matches : [(left label, right label, similarity)]."""
-    lines = [",".join(MATCHES), *(f"{left},{right},{similarity:.6f}" for left, right, similarity in matches)]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,17 +1,47 @@
 """Compiled: rows of regions, outline planes, overlap, and the candidates of each region."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit
 
 
+class RegionArrays(NamedTuple):
+    """One photograph's regions, in rectified pixels. N = the largest label; index 0 is label 1."""
+
+    pixels: np.ndarray  # (N,) area in the photograph
+    mean: np.ndarray  # (N, C) colour
+    centre: np.ndarray  # (N, 2) mean (u, v); nan where a pixel cannot be rectified
+    low: np.ndarray  # (N,) first row
+    high: np.ndarray  # (N,) last row
+    cut: np.ndarray  # (N,) bool: touches the picture's border
+    row_start: np.ndarray  # (N + 1,): row r of region i is row_start[i] + r - low[i]
+    ends: np.ndarray  # (rows, 2) least and greatest u in each row; nan where it has no pixel
+    whole: np.ndarray  # (rows, 2) bool: that end is not at the picture's border
+    order: np.ndarray  # (H W,) flat pixels, region by region
+    first: np.ndarray  # (N + 1,): the pixels of region i are order[first[i]:first[i + 1]]
+
+
+class ViewArrays(NamedTuple):
+    """One photograph, its labels and where its pixels lie in the rectified frame."""
+
+    u: np.ndarray  # (H, W) rectified px
+    v: np.ndarray  # (H, W) rectified px
+    labels: np.ndarray  # (H, W) int, 0 = nothing
+    values: np.ndarray  # (H, W, C) in [0, 1]
+    R: np.ndarray  # (3, 3) camera axes to rectified axes
+    K: np.ndarray  # (3, 3)
+
+
 @njit()
 def rows(labels, u, v, low, row_start, ends, whole):
+    """Fills ends and whole of RegionArrays."""
     height, width = labels.shape
     for y in range(height):
         for x in range(width):
             label = labels[y, x]
-            if label == 0 or not v[y, x] == v[y, x]:
+            if label == 0 or np.isnan(v[y, x]):
                 continue
             i = label - 1
             row = row_start[i] + int(np.floor(v[y, x])) - low[i]
@@ -46,23 +76,35 @@ def solve3(A, b):
 
 
 @njit()
-def fit(low, high, l_low, l_start, l_ends, l_whole, r_low, r_start, r_ends, r_whole, work):
-    """Robust (a, b, c) from the ends of the rows low..high that both regions have, and the share of the ends that agree with it."""
+def row_ends(left, right, i, j, work):
+    """(u, v, disparity) of the ends of the rows that left region i and right region j both have, and their number."""
     n = 0
-    for row in range(low, high + 1):
+    for row in range(max(left.low[i], right.low[j]), min(left.high[i], right.high[j]) + 1):
+        k, l = left.row_start[i] + row - left.low[i], right.row_start[j] + row - right.low[j]
         for end in range(2):
-            i, j = l_start + row - l_low, r_start + row - r_low
-            d = l_ends[i, end] - r_ends[j, end]
-            if d == d and l_whole[i, end] and r_whole[j, end]:
-                work[n, 0], work[n, 1], work[n, 2] = l_ends[i, end], row + 0.5, d
+            d = left.ends[k, end] - right.ends[l, end]
+            if d == d and left.whole[k, end] and right.whole[l, end]:
+                work[n, 0], work[n, 1], work[n, 2] = left.ends[k, end], row + 0.5, d
                 n += 1
+    return n
+
+
+@njit()
+def outline_plane(left, right, i, j, work):
+    """The disparity a u + b v + c that takes the row ends of left region i to those of right region j.
+
+    A robust fit. Returns (a, b, c), the share of the ends that agree with it, and their number.
+
+    work : (n, 3), two for each row that both have
+    """
+    n = row_ends(left, right, i, j, work)
     if n < 3:
-        return 0.0, 0.0, 0.0, 0.0, n
+        return (0.0, 0.0, 0.0), 0.0, n
     u0, v0 = work[:n, 0].mean(), work[:n, 1].mean()
     a, b, c = 0.0, 0.0, np.median(work[:n, 2])
     scale = 16.0
     A, g = np.zeros((3, 3)), np.zeros(3)
-    for iteration in range(12):
+    for _ in range(12):
         A[:] = 0
         g[:] = 0
         A[0, 0] = A[1, 1] = 1 / TILT**2
@@ -86,14 +128,24 @@ def fit(low, high, l_low, l_start, l_ends, l_whole, r_low, r_start, r_ends, r_wh
     for k in range(n):
         if abs(work[k, 2] - a * (work[k, 0] - u0) - b * (work[k, 1] - v0) - c) <= TOLERANCE_PX:
             agree += 1
-    return a, b, c - a * u0 - b * v0, agree / n, n
+    return (a, b, c - a * u0 - b * v0), agree / n, n
 
 
 @njit()
-def overlap(i, j, a, b, c, f, R, K, u, v, order, first, labels, values_from, values_to, sign):
-    """Of the pixels of region i that the plane takes into the other picture: the share that lands in region j, the mean
-    difference of colour of those that do, and the share that could be seen there."""
-    height, width = labels.shape
+def overlap(regions, there, here, i, j, plane, f_px, sign):
+    """How region i, taken into the other picture by the plane (a, b, c), fares there.
+
+    regions, here : of the picture that region i is in;  there : the other picture, which has region j
+    sign : 1 from left to right, -1 from right to left
+
+    Of the pixels of i that are seen in the other picture: the share that lands in region j; the mean difference of
+    colour of those that do; and the share that is seen of all.
+    """
+    a, b, c = plane
+    u, v, R, K = here.u, here.v, there.R, there.K
+    order, first = regions.order, regions.first
+    height, width = there.labels.shape
+    channels = here.values.shape[2]
     step = max(1, (first[i + 1] - first[i]) // MOST)
     seen = inside = total = 0
     difference = 0.0
@@ -101,11 +153,10 @@ def overlap(i, j, a, b, c, f, R, K, u, v, order, first, labels, values_from, val
         p = order[k]
         y, x = p // u.shape[1], p % u.shape[1]
         total += 1
-        if sign > 0:
-            u2 = u[y, x] - (a * u[y, x] + b * v[y, x] + c)
-        else:
-            u2 = (u[y, x] + b * v[y, x] + c) / (1 - a)
-        d0, d1, d2 = u2 / f, v[y, x] / f, 1.0
+        on_right = u[y, x] - (a * u[y, x] + b * v[y, x] + c)
+        on_left = (u[y, x] + b * v[y, x] + c) / (1 - a)
+        u2 = on_right if sign > 0 else on_left
+        d0, d1, d2 = u2 / f_px, v[y, x] / f_px, 1.0
         z = R[0, 2] * d0 + R[1, 2] * d1 + R[2, 2] * d2
         if z <= 0:
             continue
@@ -115,11 +166,11 @@ def overlap(i, j, a, b, c, f, R, K, u, v, order, first, labels, values_from, val
         if ix < 0 or iy < 0 or ix >= width or iy >= height:
             continue
         seen += 1
-        if labels[iy, ix] == j + 1:
+        if there.labels[iy, ix] == j + 1:
             inside += 1
-            for ch in range(values_from.shape[2]):
-                difference += abs(values_from[y, x, ch] - values_to[iy, ix, ch])
-    return inside / max(seen, 1), difference / max(inside * values_from.shape[2], 1), seen / total
+            for ch in range(channels):
+                difference += abs(here.values[y, x, ch] - there.values[iy, ix, ch])
+    return inside / max(seen, 1), difference / max(inside * channels, 1), seen / total
 
 
 # Why a region has no partner, in the order in which it is asked.
@@ -139,121 +190,116 @@ REASONS = (
 (SMALL, ALONG, BAND, COLOUR, SIZE, BEHIND, OUTLINE, COVER, ALIKE, MUTUAL, AMBIGUOUS) = range(len(REASONS))
 
 
+class Candidates(NamedTuple):
+    """Every pair of regions that may match, and how far each region came (an index into REASONS)."""
+
+    left: np.ndarray  # (n,) index of the left region
+    right: np.ndarray  # (n,)
+    similarity: np.ndarray  # (n,) in [0, 1]
+    plane: np.ndarray  # (n, 3) disparity a u + b v + c
+    left_reason: np.ndarray  # (N_left,)
+    right_reason: np.ndarray  # (N_right,)
+
+
 @njit()
-def candidates(
-    smallest,
-    colour,
-    by_row,
-    l_pixels,
-    l_mean,
-    l_centre,
-    l_low,
-    l_high,
-    l_cut,
-    l_start,
-    l_ends,
-    l_whole,
-    l_order,
-    l_first,
-    l_u,
-    l_v,
-    l_labels,
-    l_values,
-    l_R,
-    l_K,
-    r_pixels,
-    r_mean,
-    r_centre,
-    r_low,
-    r_high,
-    r_cut,
-    r_start,
-    r_ends,
-    r_whole,
-    r_order,
-    r_first,
-    r_u,
-    r_v,
-    r_labels,
-    r_values,
-    r_R,
-    r_K,
-    f,
-):
-    """Every pair of regions that may match: (n, 2) indices, (n,) similarity, (n, 3) plane; and how far each left region came."""
+def candidates(left, right, left_view, right_view, by_row, f_px, smallest, colour):
+    """Candidates of all left regions.
+
+    by_row : right regions of at least `smallest` pixels, by their first row
+    colour : the largest difference of the means of a channel
+    """
     found_i, found_j, found_s, found_p = [0], [0], [0.0], [(0.0, 0.0, 0.0)]
-    far = np.full(len(l_pixels), SMALL)
-    far_right = np.full(len(r_pixels), SMALL)
+    far, far_right = np.full(len(left.pixels), SMALL), np.full(len(right.pixels), SMALL)
     tallest = 0
-    for j in range(len(r_pixels)):
-        if r_pixels[j] >= smallest:
-            far_right[j] = BAND
-            tallest = max(tallest, r_high[j] - r_low[j])
-    lows = r_low[by_row]
-    rows = 0
-    for i in range(len(l_pixels)):
-        rows = max(rows, l_high[i] - l_low[i])
-    work = np.empty((2 * (2 + rows), 3))
-    for i in range(len(l_pixels)):
-        if l_pixels[i] < smallest:
+    for j in by_row:
+        far_right[j] = BAND
+        tallest = max(tallest, right.high[j] - right.low[j])
+    lows = right.low[by_row]
+    work = np.empty((2 * (2 + most_rows(left)), 3))
+    for i in range(len(left.pixels)):
+        if left.pixels[i] < smallest:
             continue
-        if not l_centre[i, 0] == l_centre[i, 0]:
+        if np.isnan(left.centre[i, 0]):
             far[i] = ALONG
             continue
         far[i] = BAND
-        extent = l_high[i] - l_low[i] + 1
+        extent = left.high[i] - left.low[i] + 1
         slack = 2 + int(0.1 * extent)
-        reach = extent if l_cut[i] else slack
-        k = np.searchsorted(lows, l_low[i] - max(reach, 2 + tallest // 2))
-        while k < len(by_row) and lows[k] <= l_high[i]:
+        reach = extent if left.cut[i] else slack
+        k = np.searchsorted(lows, left.low[i] - max(reach, 2 + tallest // 2))
+        while k < len(by_row) and lows[k] <= left.high[i]:
             j = by_row[k]
             k += 1
-            if not r_centre[j, 0] == r_centre[j, 0]:
+            if np.isnan(right.centre[j, 0]):
                 far_right[j] = ALONG
                 continue
-            cut = l_cut[i] or r_cut[j]
-            low, high = max(l_low[i], r_low[j]), min(l_high[i], r_high[j])
-            union = max(l_high[i], r_high[j]) - min(l_low[i], r_low[j]) + 1
-            if cut:
-                if high - low + 1 < 0.5 * union:
-                    continue
-            elif abs(l_low[i] - r_low[j]) > slack or abs(l_high[i] - r_high[j]) > slack:
+            if not rows_agree(left, right, i, j, slack):
                 continue
-            stage = COLOUR
-            worst = 0.0
-            for ch in range(l_mean.shape[1]):
-                worst = max(worst, abs(l_mean[i, ch] - r_mean[j, ch]))
-            if worst <= colour:
-                stage = SIZE
-                ratio = l_pixels[i] / r_pixels[j]
-                most = 4.0 if cut else 2.0
-                if ratio < most and ratio * most > 1 and (l_centre[i, 0] > r_centre[j, 0] or cut):
-                    stage = OUTLINE
-                    a, b, c, agree, n = fit(
-                        low, high, l_low[i], l_start[i], l_ends, l_whole, r_low[j], r_start[j], r_ends, r_whole, work
-                    )
-                    if n >= 6 and agree >= 0.5:
-                        stage = BEHIND
-                        if a < 0.9 and a * l_centre[i, 0] + b * l_centre[i, 1] + c > 0:
-                            stage = COVER
-                            there, off, seen = overlap(
-                                i, j, a, b, c, f, r_R, r_K, l_u, l_v, l_order, l_first, r_labels, l_values, r_values, 1
-                            )
-                            back, off2, seen2 = overlap(
-                                j, i, a, b, c, f, l_R, l_K, r_u, r_v, r_order, r_first, l_labels, r_values, l_values, -1
-                            )
-                            least = min(there, back)
-                            if least >= 0.5 and min(seen, seen2) >= 0.25:
-                                stage = ALIKE
-                                cover = (
-                                    there * back / (there + back - there * back)
-                                )  # of two shares: the intersection over the union
-                                found_i.append(i)
-                                found_j.append(j)
-                                found_s.append(
-                                    cover * np.sqrt(agree) * np.exp(-0.5 * (0.5 * (off + off2) / colour) ** 2)
-                                )
-                                found_p.append((a, b, c))
-            far[i] = max(far[i], stage)
-            far_right[j] = max(far_right[j], stage)
-    return np.array(found_i)[1:], np.array(found_j)[1:], np.array(found_s)[1:], np.array(found_p)[1:], far, far_right
+            reason, similarity, plane = compare(left, right, left_view, right_view, i, j, f_px, colour, work)
+            if reason == ALIKE:
+                found_i.append(i)
+                found_j.append(j)
+                found_s.append(similarity)
+                found_p.append(plane)
+            far[i] = max(far[i], reason)
+            far_right[j] = max(far_right[j], reason)
+    return Candidates(
+        np.array(found_i)[1:], np.array(found_j)[1:], np.array(found_s)[1:], np.array(found_p)[1:], far, far_right
+    )
+
+
+@njit()
+def most_rows(regions):
+    most = 0
+    for i in range(len(regions.low)):
+        most = max(most, regions.high[i] - regions.low[i])
+    return most
+
+
+@njit()
+def rows_agree(left, right, i, j, slack):
+    """Do both regions span the same rows, to `slack`? Where the picture's border cuts one, half of them is enough."""
+    if left.cut[i] or right.cut[j]:
+        common = min(left.high[i], right.high[j]) - max(left.low[i], right.low[j]) + 1
+        union = max(left.high[i], right.high[j]) - min(left.low[i], right.low[j]) + 1
+        return common >= 0.5 * union
+    return abs(left.low[i] - right.low[j]) <= slack and abs(left.high[i] - right.high[j]) <= slack
+
+
+@njit()
+def largest_difference(a, b):
+    worst = 0.0
+    for c in range(len(a)):
+        worst = max(worst, abs(a[c] - b[c]))
+    return worst
+
+
+@njit()
+def compare(left, right, left_view, right_view, i, j, f_px, colour, work):
+    """How far the pair comes (an index into REASONS; ALIKE: all the way), its similarity and its plane."""
+    none = (0.0, 0.0, 0.0)
+    if not largest_difference(left.mean[i], right.mean[j]) <= colour:
+        return COLOUR, 0.0, none
+    cut = left.cut[i] or right.cut[j]
+    ratio = left.pixels[i] / right.pixels[j]
+    most = 4.0 if cut else 2.0
+    if not (ratio < most and ratio * most > 1 and (left.centre[i, 0] > right.centre[j, 0] or cut)):
+        return SIZE, 0.0, none
+    plane, agree, n = outline_plane(left, right, i, j, work)
+    if not (n >= 6 and agree >= 0.5):
+        return OUTLINE, 0.0, none
+    a, b, c = plane
+    if not (a < 0.9 and a * left.centre[i, 0] + b * left.centre[i, 1] + c > 0):
+        return BEHIND, 0.0, none
+    there, off, seen = overlap(left, right_view, left_view, i, j, plane, f_px, 1)
+    back, off2, seen2 = overlap(right, left_view, right_view, j, i, plane, f_px, -1)
+    if not (min(there, back) >= 0.5 and min(seen, seen2) >= 0.25):
+        return COVER, 0.0, none
+    cover = intersection_over_union(there, back)
+    return ALIKE, cover * np.sqrt(agree) * np.exp(-0.5 * (0.5 * (off + off2) / colour) ** 2), plane
+
+
+@njit()
+def intersection_over_union(there, back):
+    """Of two regions, from the share of each that lies in the other."""
+    return there * back / (there + back - there * back)

@@ -1,102 +1,99 @@
 """§2.1 Segmentation: a partition of the picture that makes equation 2.1 small.
 
-    E(L) = sum over regions of |Z_s - mean|^2, summed over channels, + lambda x the number of neighbour pairs <s, t> with L_s != L_t
+    E(L) = sum over regions of |Z_s - mean|^2, summed over channels, + lambda x the number of neighbour pairs <s, t>
+    with L_s != L_t
 
-over the four neighbours, each pair once, Z in [0, 1].  (As printed the equals sign is missing.)  To find the least energy is NP-hard.
-What we do, and why:
+over the four neighbours, each pair once, Z in [0, 1].  (As printed the equals sign is missing.)  To find the least
+energy is NP-hard.  What we do, and why:
 
-1. A start: on one row, or one column, equation 2.1 is solved exactly by dynamic programming.  Rows and columns alternate and are drawn
-   together by ADMM (Storath and Weinmann, SIAM J. Imaging Sci. 2014), until they nearly agree.  Frontiers then lie where the whole picture
-   wants them; merging from pixels alone ends 4 to 10 % higher, and no polish makes up for it.
-2. Neighbouring regions merge, the pair first for which the smallest lambda is enough (Koepfler, Lopez and Morel, SIAM J. Numer. Anal. 1994).
-3. Pixels on frontiers move to a neighbour's region where that lowers E, means kept exact; then whole rows and columns at once, each to the best of
-   the labels around it with the means held, by dynamic programming (a frontier that is straight moves in one piece or not at all: pixels cannot);
-   then merging again, until E falls by less than 1e-4 of itself.
+1. A start: on one row, or one column, equation 2.1 is solved exactly by dynamic programming.  Rows and columns
+   alternate and are drawn together by ADMM (Storath and Weinmann, SIAM J. Imaging Sci. 2014), until they nearly agree.
+   Frontiers then lie where the whole picture wants them.  Merging from pixels alone ends 4 to 10 % higher, and no
+   polish makes up for it (docs/design.md, Segmentation by rows and columns).
+2. Neighbouring regions merge, the pair first for which the smallest lambda is enough (Koepfler, Lopez and Morel,
+   SIAM J. Numer. Anal. 1994).
+3. Pixels on frontiers move to a neighbour's region where that lowers E, means kept exact.  Then whole rows and columns
+   move at once, each pixel to the best of the labels around it, by dynamic programming with the means held.  (A
+   straight frontier moves in one piece or not at all: pixels cannot move it.)  Then regions merge again, until E falls
+   by less than 1e-4 of itself.
 
 Every step of 2 and 3 lowers E.  Labels count from 0 inside this module and from 1 in what `segment` returns.
-Arrays: picture f (H, W, C) float64, C = 1 or 3; labels (H, W) int32.
+Arrays: picture f (H, W, C) float64, C = 1 or 3; labels (H, W) int32.  In the code lambda is called weight.
 """
 
 import math
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from lib.vision import frontiers_kernels as frontiers
+from lib.vision import merging_kernels as merges
+from lib.vision import potts_kernels as potts
 from lib.vision import segmentation_kernels as kernels
 
-STEP = 2.0  # growth of ADMM's coupling per iteration: smaller is slower and better (tests/segment_bench.py)
+STEP = 2.0  # growth of ADMM's coupling per iteration: smaller is slower and better (tests/bench/segment_bench.py)
 COUPLING = 0.1  # where the coupling starts
-AGREED = 1e-5  # |rows - columns|^2 / |f|^2 that ends it; the polish takes the rest
+AGREED = 1e-5  # |rows - columns|^2 / |f|^2 that ends ADMM; the polish takes the rest
 SETTLED = 1e-4  # relative fall of E that ends the polish
 SMALLEST = 1 / 24  # side of the smallest facet worth a plane, in sides of the picture
 
 
-def segment(picture, weight, *, step=STEP, trace=None):
-    """(H, W) int32 labels from 1, each one 4-connected region, of the (H, W, C) picture at lambda = `weight`.
+def segment(picture, weight: float, *, step: float = STEP, trace: Callable | None = None) -> np.ndarray:
+    """(H, W) int32 labels from 1, each one 4-connected region, of the (H, W, C) picture in [0, 1] at lambda = `weight`.
 
+    step : growth of ADMM's coupling per iteration
     trace : called with (what, labels from 0) after each step
-    The result is never worse than one region, nor than every constant area by itself.  A picture of one row or column: the exact minimum.
+
+    The result is never worse than one region, nor than every constant area by itself.  Of a picture of one row or one
+    column it is the exact minimum.
     """
     f = np.ascontiguousarray(picture, np.float64)
     weight = float(weight)
+    trace = trace or (lambda what, labels: None)
     constant, _ = kernels.joined(f, f, np.inf)
     one = np.zeros(f.shape[:2], np.int32)
     if weight == 0 or 1 in f.shape[:2]:
         labels = constant if weight == 0 else _single_line(f, weight)
         return labels + np.int32(1)
-    if (
-        kernels.energy(f, one, weight) <= 2 * weight
-    ):  # a second region has at least two frontier pairs: nothing is better
+    # A second region has at least two frontier pairs.
+    if kernels.energy(f, one, weight) <= 2 * weight:
         return one + np.int32(1)
     labels, n = kernels.joined(*_rows_and_columns(f, weight, step), 0.05 * math.sqrt(weight))
-    if trace:
-        trace("start", labels)
-    labels, n = kernels.merge(f, labels, n, weight)
-    if trace:
-        trace("merged", labels)
+    trace("start", labels)
+    labels, n = merges.merge(f, labels, n, weight)
+    trace("merged", labels)
     turned = np.ascontiguousarray(f.transpose(1, 0, 2))
     E, before = kernels.energy(f, labels, weight), np.inf
     while (1 - SETTLED) * before > E:
-        kernels.relabel(f, labels, n, weight)
-        labels, n = kernels.components(labels)
-        kernels.move_rows(f, labels, n, weight)
-        labels, n = kernels.components(np.ascontiguousarray(labels.T))
-        kernels.move_rows(turned, labels, n, weight)
-        labels, n = kernels.components(np.ascontiguousarray(labels.T))
-        labels, n = kernels.merge(f, labels, n, weight)
-        if trace:
-            trace("moved", labels)
+        labels, n = _moved(f, turned, labels, n, weight)
+        labels, n = merges.merge(f, labels, n, weight)
+        trace("moved", labels)
         E, before = kernels.energy(f, labels, weight), E
     best = min((labels, one, constant), key=lambda each: kernels.energy(f, each, weight))
     return best + np.int32(1)
 
 
-def energy(picture, labels, weight):
+def energy(picture, labels, weight: float) -> float:
     """Equation 2.1, summed afresh from the labels (any numbers from 0)."""
     return kernels.energy(
         np.ascontiguousarray(picture, np.float64), np.ascontiguousarray(labels, np.int32), float(weight)
     )
 
 
-def merging(picture, weights):
-    """The whole lambda-path by merging alone, from pixels: yields labels from 1 for each of the rising `weights`, in one run."""
+def merging(picture, weights) -> Iterator[np.ndarray]:
+    """Merging alone, from pixels: yields labels from 1 for each of the rising `weights`, in one run."""
     f = np.ascontiguousarray(picture, np.float64)
     labels, n = kernels.joined(f, f, np.inf)
     for weight in weights:
-        labels, n = kernels.merge(f, labels, n, float(weight))
+        labels, n = merges.merge(f, labels, n, float(weight))
         yield labels + np.int32(1)
 
 
-def displayed(photograph):
-    """The values in [0, 1] that equation 2.1 is about: as stored, or clip(B, 0, 1)^(1/2.2) of linear light, as rendered.json compares it."""
-    if not photograph.linear:
-        return photograph.values
-    return np.clip(photograph.values, 0, 1) ** (1 / 2.2)
+def noise(picture) -> float:
+    """Standard deviation of white noise, root mean square over channels.
 
-
-def noise(picture):
-    """Standard deviation of white noise, root mean square over channels: the median of |second differences along x and y|.
-
-    The mask (1 -2 1)^T (1 -2 1) annihilates every bilinear shading (Immerkaer 1996); the median forgives edges. Rounding that hides the noise gives 0.
+    It is the median of |second differences along x and y|: the mask (1 -2 1)^T (1 -2 1) annihilates every bilinear
+    shading (Immerkaer 1996), and the median forgives edges. Rounding that hides the noise gives 0.
     """
     f = np.asarray(picture, float)
     if min(f.shape[:2]) < 3:
@@ -105,13 +102,18 @@ def noise(picture):
     return float(np.sqrt(np.mean((np.median(d, axis=0) / (0.6745 * 6)) ** 2)))
 
 
-def noise_lambda(*pictures):
-    """The lambda at which pure noise of the pictures' strength stays one region, with probability 0.95; and texture that fills the picture does.
+def noise_lambda(*pictures) -> float:
+    """The lambda at which noise as strong as the pictures' stays one region, with probability 0.95.
 
-    A pixel alone saves |Z - mean|^2 = sigma^2 chi^2_C and costs 4 lambda. Among N pixels chi^2_C stays below C + 2 sqrt(C t) + 2 t, t = ln N + 3 (Laurent and
-    Massart 2000). Larger shapes are more numerous, about 2.64^p of perimeter p at a place, yet cost p lambda: above 2 sigma^2 they ask for less than pixels do.
-    The same holds for blocks of s x s pixels, their means' noise sigma_s and s^2 sigma_s^2 against 4 s lambda: white noise asks s times less there,
-    texture more. The largest blocks have the side of the smallest facet (`auto_lambda`).
+    Texture that fills the picture stays one region too.
+
+    A pixel alone saves |Z - mean|^2 = sigma^2 chi^2_C and costs 4 lambda. Among N pixels chi^2_C stays below
+    C + 2 sqrt(C t) + 2 t, t = ln N + 3 (Laurent and Massart 2000). Larger shapes are more numerous, about 2.64^p of
+    perimeter p at a place, yet cost p lambda: above 2 sigma^2 they ask for less than pixels do.
+
+    The same holds for blocks of s x s pixels, whose means have the noise sigma_s: they save s^2 sigma_s^2 chi^2_C and
+    cost 4 s lambda. White noise asks s times less there, texture more. The largest blocks have the side of the
+    smallest facet (`auto_lambda`).
     """
     asked = [0.0]
     for f in pictures:
@@ -126,16 +128,27 @@ def noise_lambda(*pictures):
     return max(asked)
 
 
-def auto_lambda(*pictures):
-    """One lambda for all the pictures: the larger of what noise and texture ask for (`noise_lambda`) and what shading does.
+def auto_lambda(*pictures) -> float:
+    """One lambda for all pictures: the larger of what noise and texture ask for (`noise_lambda`) and what shading does.
 
-    A square facet of side l and contrast d is kept while C l^2 d^2 > 4 l lambda; a ramp of contrast D over it is cut in two once C l^2 D^2 / 16 > l lambda.
-    So whatever lambda is, a facet that just stands out, by d, is whole while its shading is below 2 d: lambda only says for which d. We take the d = 0.06 that light
-    1.3 times as strong makes on mid-grey at gamma 2.2, on the SMALLEST facet.
+    A square facet of side l and contrast d is kept while C l^2 d^2 > 4 l lambda. A ramp of contrast D over it is cut
+    in two once C l^2 D^2 / 16 > l lambda. So whatever lambda is, a facet that just stands out, by d, is whole while
+    its shading is below 2 d: lambda only says for which d. We take d = 0.06, which light 1.3 times as strong makes on
+    mid-grey at gamma 2.2, on the SMALLEST facet.
     """
     C = max(p.shape[2] for p in pictures)
     side = SMALLEST * math.sqrt(max(p.shape[0] * p.shape[1] for p in pictures))
     return max(noise_lambda(*pictures), C * side * 0.06**2 / 4)
+
+
+def _moved(f, turned, labels, n, weight):
+    """(labels, their number) after pixels, whole rows and whole columns have moved. turned : f transposed."""
+    frontiers.relabel(f, labels, n, weight)
+    labels, n = kernels.components(labels)
+    frontiers.move_rows(f, labels, n, weight)
+    labels, n = kernels.components(np.ascontiguousarray(labels.T))
+    frontiers.move_rows(turned, labels, n, weight)
+    return kernels.components(np.ascontiguousarray(labels.T))
 
 
 def _rows_and_columns(f, weight, step):
@@ -143,8 +156,8 @@ def _rows_and_columns(f, weight, step):
     u, v, dual, mu = np.empty_like(f), f.copy(), np.zeros_like(f), COUPLING
     enough = AGREED * np.vdot(f, f)
     for _ in range(200):
-        kernels.rows(f, v, dual, mu, weight, u)
-        if kernels.columns(f, u, dual, mu, weight, v) <= enough:
+        potts.rows(f, v, dual, mu, weight, u)
+        if potts.columns(f, u, dual, mu, weight, v) <= enough:
             break
         mu *= step
     return u, v
@@ -155,7 +168,7 @@ def _single_line(f, weight):
     z = np.ascontiguousarray(f.reshape(-1, f.shape[2]).T)
     n = z.shape[1]
     first, work = np.empty(n + 1, np.int32), np.empty((6, n + 1))
-    kernels.potts(z, len(z), n, weight, first, work, work[5].view(np.int64))
+    potts.potts(z, len(z), n, weight, first, work, work[5].view(np.int64))
     starts, r = np.zeros(n, np.int32), n
     while r:
         r = first[r]

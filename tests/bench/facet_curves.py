@@ -1,9 +1,10 @@
-"""Error of reconstructed planes against CPU time: what overlap, borders and intensities each add, and how many iterations (for tests/bench).
+"""Error of reconstructed planes against CPU time: what overlap, borders and intensities add (for tests/bench).
 
-    $ tests/facet_curves.py build/bench
+    $ tests/bench/facet_curves.py build/bench
 
-Scenes: exact quadrilaterals with 1 % noise, and a textured plane whose region has no visible border. Methods: `outline` is the whole-pixel
-plane of the row ends that matching uses (overlap only), `contours` adds borders to a part of a pixel, `all` the intensities inside.
+Scenes: exact quadrilaterals with 1 % noise, and a textured plane whose region has no visible border. Methods: `outline`
+is the whole-pixel plane of the row ends that matching uses (overlap only), `contours` adds borders to a part of a
+pixel, `all` the intensities inside. Each with up to so many iterations.
 """
 
 import csv
@@ -17,9 +18,10 @@ ROOT = Path(__file__).resolve().parents[2]
 if __name__ == "__main__":
     sys.path[0] = str(ROOT)
 
-import numpy as np
+import numpy as np  # noqa: E402  after the number of threads and the path
 
 HEAD = ("scene", "method", "iterations", "cpu_s_per_facet", "median_error", "p90_error", "planes")
+METHODS = (("outline", 0), *((method, i) for method in ("contours", "all") for i in (1, 2, 4, 8, 16, 30)))
 SEEDS = 12
 
 
@@ -27,13 +29,24 @@ def _outline(pair, labels, values, both):
     """{label: m} of the row ends alone."""
     from lib.vision import matching
 
-    regions = [matching.regions(pair, l, v, side) for l, v, side in zip(labels, values, ("left", "right"))]
+    regions = [matching.regions(view) for view in matching.views(pair, labels, values)]
     planes = {}
     for label in both:
-        (a, b, c), agree, n = matching.outline_plane(*regions, label - 1, label - 1)
+        (a, b, c), _, n = matching.outline_plane(*regions, label - 1, label - 1)
         if n >= 6:
             planes[label] = np.array([a, b, c / pair.f_px]) / pair.baseline @ pair.R_rect_left
     return planes
+
+
+def _planes(method, iterations, pair, labels, values, wanted):
+    """{label: m}"""
+    from lib.vision.facets import planes as facets
+
+    if method == "outline":
+        return _outline(pair, labels, values, wanted)
+    both = method == "all"
+    found = facets.reconstruct(pair, labels, values, wanted, wanted, iterations=iterations, intensities=both).facets
+    return {x.left_label: x.m for x in found}
 
 
 def measure(log):
@@ -49,40 +62,23 @@ def measure(log):
         for seed in range(SEEDS):
             Q = make(seed)
             cases.append((Q, matching.stereo(Q.left, Q.right), Q.noisy(0.01, np.random.default_rng(seed))))
-        for method, iterations in [("outline", 0)] + [
-            (m, i) for m in ("contours", "all") for i in (1, 2, 4, 8, 16, 30)
-        ]:
+        for method, iterations in METHODS:
             errors, spent, asked = [], 0.0, 0
             for Q, pair, values in cases:
                 begin = time.process_time()
-                if method == "outline":
-                    planes = _outline(pair, Q.labels, values, wanted)
-                else:
-                    found, _, _ = facets.reconstruct(
-                        pair, Q.labels, values, wanted, wanted, iterations=iterations, intensities=method == "all"
-                    )
-                    planes = {x.left_label: x.m for x in found}
+                planes = _planes(method, iterations, pair, Q.labels, values, wanted)
                 spent += time.process_time() - begin
                 asked += len(wanted)
                 errors += [np.linalg.norm(m - Q.m[label]) / np.linalg.norm(Q.m[label]) for label, m in planes.items()]
             if errors:
-                rows.append(
-                    (
-                        scene,
-                        method,
-                        iterations,
-                        spent / asked,
-                        float(np.median(errors)),
-                        float(np.percentile(errors, 90)),
-                        len(errors),
-                    )
-                )
+                median, p90 = float(np.median(errors)), float(np.percentile(errors, 90))
+                rows.append((scene, method, iterations, spent / asked, median, p90, len(errors)))
                 log(*rows[-1])
     return HEAD, rows
 
 
 def plot(rows, axes):
-    for ax, scene in zip(axes, ("quads", "textured")):
+    for ax, scene in zip(axes, ("quads", "textured"), strict=True):
         for method, style in (("outline", "ks"), ("contours", "C1-o"), ("all", "C0-o")):
             mine = [r for r in rows if r[0] == scene and r[1] == method]
             if mine:

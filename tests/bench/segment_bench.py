@@ -1,11 +1,13 @@
-"""Equation 2.1's energy against time: ours from quick to careful, merging alone, and Pottslab where it is installed (for tests/bench).
+"""Equation 2.1's energy against time: ours from quick to careful, merging alone, and Pottslab (for tests/bench).
 
-The picture is the 512 x 512 astronaut and its 2 x 2 means. Compilation is apart; wall seconds beside CPU seconds, since all methods use several cores.
-Pottslab (pip install pottslab) is no dependency of the project; without it its measured energies stand for it, without times.
+The picture is the 512 x 512 astronaut and its 2 x 2 means. Compilation is apart. Wall seconds stand beside CPU seconds,
+since all methods use several cores. Pottslab (pip install pottslab) is no dependency of the project. Where it is not
+installed its measured energies stand for it, without times.
 """
 
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,9 +27,10 @@ def picture(side):
     return values if side == 512 else values.reshape(256, 2, 256, 2, 3).mean((1, 3))
 
 
-def _timed(work):
+def _timed(work, *arguments, **options):
+    """(result, wall s, CPU s)"""
     wall, cpu = time.perf_counter(), time.process_time()
-    result = work()
+    result = work(*arguments, **options)
     return result, time.perf_counter() - wall, time.process_time() - cpu
 
 
@@ -52,32 +55,50 @@ def measure(log):
     rows = []
     for side, peers in POTTSLAB.items():
         values = picture(side)
-
-        def add(weight, method, setting, wall, cpu, labels):
-            energy = segmentation.energy(values, labels, weight)
-            rows.append((side, weight, method, setting, wall, cpu, energy, energy / peers[weight], int(labels.max())))
+        for run in _runs(values, peers, pottslab):
+            energy = segmentation.energy(values, run.labels, run.weight)
+            against = energy / peers[run.weight]
+            rows.append(
+                (side, run.weight, run.method, run.setting, run.wall, run.cpu, energy, against, int(run.labels.max()))
+            )
             log(*rows[-1])
-
-        path = segmentation.merging(values, list(peers))
-        wall = cpu = 0.0
-        for weight in peers:
-            labels, more_wall, more_cpu = _timed(lambda: next(path))
-            wall, cpu = wall + more_wall, cpu + more_cpu
-            add(weight, "merging", "path", wall, cpu, labels)
-        for weight in peers:
-            if pottslab:
-                u, wall, cpu = _timed(lambda: pottslab.min_l2_potts_2d(values, weight, isotropic=False))
-                add(weight, "pottslab", "default", wall, cpu, _areas(u))
-            for step in STEPS:
-                labels, wall, cpu = _timed(lambda: segmentation.segment(values, weight, step=step))
-                add(weight, "ours", step, wall, cpu, labels)
     return HEAD, rows
+
+
+class Run(NamedTuple):
+    """One method's labels and its times, s."""
+
+    weight: float
+    method: str
+    setting: object
+    wall: float
+    cpu: float
+    labels: np.ndarray
+
+
+def _runs(values, weights, pottslab):
+    """Runs of all methods on one picture; pottslab : the module, or None."""
+    from lib.vision import segmentation
+
+    path = segmentation.merging(values, list(weights))
+    wall = cpu = 0.0
+    for weight in weights:
+        labels, more_wall, more_cpu = _timed(next, path)
+        wall, cpu = wall + more_wall, cpu + more_cpu
+        yield Run(weight, "merging", "path", wall, cpu, labels)
+    for weight in weights:
+        if pottslab:
+            u, wall, cpu = _timed(pottslab.min_l2_potts_2d, values, weight, isotropic=False)
+            yield Run(weight, "pottslab", "default", wall, cpu, _areas(u))
+        for step in STEPS:
+            labels, wall, cpu = _timed(segmentation.segment, values, weight, step=step)
+            yield Run(weight, "ours", step, wall, cpu, labels)
 
 
 def plot(rows, axes):
     """One panel for each size: energy over Pottslab's against wall time."""
-    for ax, side in zip(axes, POTTSLAB):
-        for colour, weight in zip(("C0", "C1", "C2"), POTTSLAB[side]):
+    for ax, side in zip(axes, POTTSLAB, strict=True):
+        for colour, weight in zip(("C0", "C1", "C2"), POTTSLAB[side], strict=True):
             for method, mark in (("ours", "-o"), ("merging", "x"), ("pottslab", "s")):
                 some = [r for r in rows if r[:3] == (side, weight, method)]
                 if some:

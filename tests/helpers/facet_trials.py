@@ -1,4 +1,7 @@
-"""Random rooms, cameras in them, and the noisy, partial, half spurious facets that a reconstruction would give. Shared by the tests of recognise and its curves."""
+"""Random rooms, cameras in them, and the noisy, partial, half spurious facets that a reconstruction would give.
+
+Shared by the tests of recognise and its curves.
+"""
 
 import numpy as np
 
@@ -12,7 +15,10 @@ INDEPENDENT = 12  # contour points whose errors are independent
 
 
 def polygons_of_rooms(random, rooms=3, furniture=14, symmetric=False, gap=0.3):
-    """[(object, [(group, corners)])] of a row of furnished rooms along x, and the rooms' boxes. The same kinds of furniture stand in all of them."""
+    """[(object, [(group, corners)])] of a row of furnished rooms along x, and the rooms' boxes.
+
+    The same kinds of furniture stand in all of them.
+    """
     things, boxes, x0 = {}, [], 0.0
     kinds = [
         random.uniform((0.4, 0.3, 0.3), (1.6, 0.9, 1.9)) for _ in range(max(3, furniture // 2))
@@ -44,7 +50,7 @@ def polygons_of_rooms(random, rooms=3, furniture=14, symmetric=False, gap=0.3):
 
 
 def camera_in(random, model, low, high, width=320, height=240, focal=210.0):
-    """A camera at eye height near a wall of the box, looking inwards; nothing within 0.4 m before it, at least five facets in view."""
+    """A camera at eye height near a wall of the box, looking inwards; nothing within 0.4 m, five facets in view."""
     size = high - low
     while True:
         edge, along = random.uniform(0.08, 0.2), random.uniform(0.1, 0.9)
@@ -76,95 +82,134 @@ def covariance_of(q, m, camera, baseline, noise_px=NOISE_PX):
     return sigma**2 * np.linalg.inv(v.T @ v)
 
 
-def facets_seen(random, model, camera, *, spurious=0.5, baseline=0.3, most=14, least_px=400, unit="m", partial=True):
-    """SceneFacets of what the camera sees, and which are true: (N,) model facet or -1. `spurious` is their share in the end.
+class _Seen:
+    """The facets collected so far, in the camera's frame."""
 
-    A partial facet has been cut along a line (occlusion, shading) and half of the spurious ones are true regions on false planes.
-    """
-    import cv2
+    def __init__(self, random, camera, baseline, least_px):
+        self.random, self.camera, self.baseline, self.least_px = random, camera, baseline, least_px
+        self.m, self.covariance, self.polygons, self.truth = [], [], [], []
 
-    index = draw(model, camera)
-    count = np.bincount(index.facet[index.facet >= 0], minlength=model.n_facets)
-    large = [f for f in np.argsort(-count) if count[f] >= least_px][:most]
-    m, C, polygons, truth = [], [], [], []
+    def add(self, mask, m_true, facet):
+        """The facet of a mask (H, W) on the plane m_true with noise, unless it is too small or lies behind the camera.
 
-    def add(mask, m_true, facet, wrong=False):
+        facet : of the model, or -1 where it is spurious
+        """
+        import cv2
+
         contours = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
         if not contours:
             return
         contour = max(contours, key=cv2.contourArea)
-        if cv2.contourArea(contour) < 0.5 * least_px:
+        if cv2.contourArea(contour) < 0.5 * self.least_px:
             return
         q = contour[:, 0].astype(float)
-        spread = covariance_of(q, m_true, camera, baseline)
-        noisy = m_true + np.linalg.cholesky(spread) @ random.normal(size=3)
+        spread = covariance_of(q, m_true, self.camera, self.baseline)
+        noisy = m_true + np.linalg.cholesky(spread) @ self.random.normal(size=3)
         corners = cv2.approxPolyDP(contour, 1.5, True)[:, 0].astype(float)
-        v = camera.directions(corners)
+        v = self.camera.directions(corners)
         inverse = v @ noisy
         if len(v) < 3 or inverse.min() < 1e-2:
             return
-        m.append(noisy), C.append(spread), polygons.append(v / inverse[:, None]), truth.append(-1 if wrong else facet)
+        self.m.append(noisy)
+        self.covariance.append(spread)
+        self.polygons.append(v / inverse[:, None])
+        self.truth.append(facet)
 
+    def shuffled(self, unit):
+        """SceneFacets in random order, and the model facet of each."""
+        order = self.random.permutation(len(self.m))
+        q = 1.0 if unit == "m" else self.baseline
+        facets = SceneFacets(
+            np.array([self.m[i] for i in order]).reshape(-1, 3) * q,
+            np.array([self.covariance[i] for i in order]).reshape(-1, 3, 3) * q * q,
+            [self.polygons[i] / q for i in order],
+            np.column_stack([np.arange(len(self.m)) + 1] * 2),
+            unit,
+        )
+        return facets, np.array([self.truth[i] for i in order], int)
+
+
+def facets_seen(random, model, camera, *, spurious=0.5, baseline=0.3, most=14, least_px=400, unit="m", partial=True):
+    """SceneFacets of what the camera sees, and which are true: (N,) model facet or -1.
+
+    spurious : their share in the end
+    partial : some facets have been cut along a line, as by occlusion or shading
+
+    Half of the spurious ones are true regions on false planes.
+    """
+    index = draw(model, camera)
+    count = np.bincount(index.facet[index.facet >= 0], minlength=model.n_facets)
+    large = [f for f in np.argsort(-count) if count[f] >= least_px][:most]
+    seen = _Seen(random, camera, baseline, least_px)
     R, t = camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
     for f in large:
         n = R @ model.facet_normal[f]
-        plane = n / (model.facet_offset[f] + n @ t)
         mask = index.facet == f
-        if partial and random.random() < 0.6:  # a line through a random pixel cuts a part away
-            y, x = np.nonzero(mask)
-            k = random.integers(len(x))
-            a = random.uniform(0, 2 * np.pi)
-            yy, xx = np.mgrid[: camera.height, : camera.width]
-            side = (xx - x[k]) * np.cos(a) + (yy - y[k]) * np.sin(a) > 0
-            cut = mask & side
-            if cut.sum() >= 0.3 * mask.sum():
-                mask = cut
-        add(mask, plane, f)
-    real = len(m)
+        if partial and random.random() < 0.6:
+            mask = _cut(random, mask)
+        seen.add(mask, n / (model.facet_offset[f] + n @ t), f)
+    real = len(seen.m)
     wanted = int(round(real * spurious / (1 - spurious)))
-    tries = 0
-    while len(m) < real + wanted and tries < 20 * wanted + 20:
-        tries += 1
+    for _ in range(20 * wanted + 20):
+        if len(seen.m) >= real + wanted:
+            break
         if random.random() < 0.5 and large:  # a region matched with the wrong one: a false plane
             mask = index.facet == large[random.integers(len(large))]
         else:
-            mask = np.zeros((camera.height, camera.width), np.uint8)
-            centre = random.uniform((20, 20), (camera.width - 20, camera.height - 20))
-            corners = centre + random.uniform(12, 60) * geometry.regular(
-                (0, 0), 1, int(random.integers(3, 7)), random.uniform(0, 6)
-            ) * random.uniform(0.5, 1.5, 2)
-            cv2.fillPoly(mask, [np.rint(corners).astype(np.int32)], 1)
-            mask = mask > 0
-        if not mask.any():
-            continue
-        y, x = np.nonzero(mask)
-        v = camera.directions(np.array([[x.mean(), y.mean()]]))[0]
-        if random.random() < 0.3 and real:  # parallel to a true facet, elsewhere
-            n = m[random.integers(real)]
-            n = -n / np.linalg.norm(n)
-        else:
-            n = random.normal(size=3)
-            n /= np.linalg.norm(n)
-        if n @ v > 0:
-            n = -n
-        if -n @ v < 0.2 * np.linalg.norm(v):
-            continue
-        depth = random.uniform(1.0, 6.0)
-        add(mask, n / (depth * (n @ v)), -1, wrong=True)
-    order = random.permutation(len(m))
-    q = 1.0 if unit == "m" else baseline
-    facets = SceneFacets(
-        np.array([m[i] for i in order]).reshape(-1, 3) * q,
-        np.array([C[i] for i in order]).reshape(-1, 3, 3) * q * q,
-        [polygons[i] / q for i in order],
-        np.column_stack([np.arange(len(m)) + 1] * 2),
-        unit,
-    )
-    return facets, np.array([truth[i] for i in order], int)
+            mask = _random_polygon(random, camera)
+        if mask.any() and (plane := _false_plane(random, camera, mask, seen.m[:real])) is not None:
+            seen.add(mask, plane, -1)
+    return seen.shuffled(unit)
+
+
+def _cut(random, mask):
+    """A line through a random pixel cuts a part away, at most 70 %."""
+    y, x = np.nonzero(mask)
+    k = random.integers(len(x))
+    a = random.uniform(0, 2 * np.pi)
+    yy, xx = np.mgrid[: mask.shape[0], : mask.shape[1]]
+    cut = mask & ((xx - x[k]) * np.cos(a) + (yy - y[k]) * np.sin(a) > 0)
+    return cut if cut.sum() >= 0.3 * mask.sum() else mask
+
+
+def _random_polygon(random, camera):
+    """A mask of 3 to 6 corners, somewhere in the picture."""
+    import cv2
+
+    mask = np.zeros((camera.height, camera.width), np.uint8)
+    centre = random.uniform((20, 20), (camera.width - 20, camera.height - 20))
+    corners = centre + random.uniform(12, 60) * geometry.regular(
+        (0, 0), 1, int(random.integers(3, 7)), random.uniform(0, 6)
+    ) * random.uniform(0.5, 1.5, 2)
+    cv2.fillPoly(mask, [np.rint(corners).astype(np.int32)], 1)
+    return mask > 0
+
+
+def _false_plane(random, camera, mask, true):
+    """m of a plane that crosses the mask's middle, 1 to 6 m deep; None where it would be seen too obliquely.
+
+    Three in ten are parallel to one of the true planes.
+    """
+    y, x = np.nonzero(mask)
+    v = camera.directions(np.array([[x.mean(), y.mean()]]))[0]
+    if random.random() < 0.3 and true:
+        n = true[random.integers(len(true))]
+        n = -n / np.linalg.norm(n)
+    else:
+        n = random.normal(size=3)
+        n /= np.linalg.norm(n)
+    if n @ v > 0:
+        n = -n
+    if -n @ v < 0.2 * np.linalg.norm(v):
+        return None
+    return n / (random.uniform(1.0, 6.0) * (n @ v))
 
 
 def photograph(random, model, camera, noise=0.01, gamma=2.2, finer=4):
-    """What an index buffer drawn `finer` times as fine shows when each facet has a colour and light falls off along it; display values, 8 bit."""
+    """The view when each facet has a colour and light falls off along it: display values, 8 bit.
+
+    finer : it is drawn so many times as fine, then averaged
+    """
     import cv2
 
     from lib.given.image import Photograph

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lib.core import artefact, record
+from lib.core import record
 from lib.given import cameras, image, materials, model
 from lib.verdict import records, stage_reports
 from lib.verdict.comparison import Comparison
 from lib.verdict.page.vision import SIDES, Vision, see
+from lib.vision.matches import read_matches
 
 LEFT_OUT = re.compile(r"^#   without ([\w-]+): (.*)$", re.MULTILINE)  # in the head of plan.mk
 
@@ -122,7 +123,7 @@ def _read_vision(files):
         photographs=pair("photograph", lambda path: image.read_photograph(path).display),
         regions=pair("regions", image.read_labels),
         cameras=pair("camera", cameras.read_cameramodel),
-        matches=artefact.read_matches(files["matches"]) if files["matches"] else None,
+        matches=read_matches(files["matches"]) if files["matches"] else None,
         model=model.load(files["model"]) if files["model"] and files["pose"] else None,
         facets=of("facets", records.Facets),
         pose=of("pose", records.Pose),

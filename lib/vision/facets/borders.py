@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lib.vision.facets import borders_kernels as kernels
+from lib.vision.facets.contours_kernels import Border
+from lib.vision.matching import Stereo
 
 
 @dataclass(frozen=True, eq=False)
@@ -13,7 +15,7 @@ class Borders:
 
     q : (n, 2) px          in the photograph            uv : (n, 2)      rectified pixels
     normal : (n, 2)        outward, rectified           sigma : (n,) px  along the normal, from the picture's noise
-    bend : (n,) px         how far its neighbours are off a line: borders turn there, or are ragged
+    bend : (n,) px         how far its neighbours are off a line; large where borders turn or are ragged
     beyond : (n,)          the label on the other side
     first : (N + 2,)       those of label l are first[l]:first[l + 1]
     """
@@ -26,13 +28,31 @@ class Borders:
     beyond: np.ndarray
     first: np.ndarray
 
+    def of(self, label: int) -> Border:
+        """Those of one region, for the kernels."""
+        part = slice(self.first[label], self.first[label + 1])
+        return Border(self.uv[part], self.normal[part], self.sigma[part], self.bend[part])
 
-def borders(pair, labels, values, wanted, side, noise) -> Borders:
-    """The borders of the regions in `wanted` (labels). A picture's own border is none."""
+    def number(self, label: int) -> int:
+        """How many points one region has."""
+        return self.first[label + 1] - self.first[label]
+
+    def of_photograph(self, label: int):
+        """(n, 2) px of one region's points in the photograph, and (n,) their sigma."""
+        part = slice(self.first[label], self.first[label + 1])
+        return self.q[part], self.sigma[part]
+
+
+def borders(pair: Stereo, labels, values, wanted, side: str, noise: float) -> Borders:
+    """The borders of the regions in `wanted` (labels). A picture's own border is none.
+
+    labels : (H, W) int;  values : (H, W, C) in [0, 1];  noise : its standard deviation
+    side : "left" or "right", which picture of the pair that is
+    """
     n = int(labels.max(initial=0))
     chosen = np.zeros(n + 1, bool)
     chosen[wanted] = True
-    q, normal, sigma, owner, beyond = kernels.borders(labels, values, chosen, noise)
+    q, normal, sigma, owner, beyond = kernels.borders(kernels.Picture(values, labels, noise), chosen)
     uv = pair.rectified(q, side)
     tip = pair.rectified(q + 0.5 * np.column_stack([-normal[:, 1], normal[:, 0]]), side) - uv  # the tangent, rectified
     normal = np.column_stack([tip[:, 1], -tip[:, 0]])
@@ -48,10 +68,11 @@ def borders(pair, labels, values, wanted, side, noise) -> Borders:
     return Borders(q, uv, normal, sigma, bend, beyond, first)
 
 
-def noise(values, labels):
-    """Standard deviation of the picture's noise, from differences of pixels 3 apart in one region; at least an 8-bit rounding.
+def noise(values, labels) -> float:
+    """Standard deviation of the picture's noise, at least that of rounding to 8 bits.
 
-    Not from neighbours: resampled and compressed pictures have noise that neighbours share.
+    From differences of pixels 3 apart in one region, not of neighbours: resampled and compressed pictures have noise
+    that neighbours share.
     """
     pairs = [
         (values[:, 3:] - values[:, :-3])[labels[:, 3:] == labels[:, :-3]],
@@ -60,8 +81,3 @@ def noise(values, labels):
     difference = np.abs(np.concatenate(pairs))
     least = 1 / 255 / np.sqrt(12)
     return float(max(1.4826 * np.median(difference) / np.sqrt(2), least)) if len(difference) > 100 else 1 / 255
-
-
-def of(borders, label):
-    part = slice(borders.first[label], borders.first[label + 1])
-    return borders.uv[part], borders.normal[part], borders.sigma[part], borders.bend[part]

@@ -1,40 +1,191 @@
 """Compiled: border points of regions, located along rows and columns."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit
 
-# -- borders of regions to a part of a pixel
-
 REACH = 3  # px: a border's profile reaches so far to either side
-WEAK = 2.0  # px: a border that the picture does not locate to 3/4 of this is taken from the labels, whose errors
-# of up to half a pixel are the same along a whole stretch: so little is one of its points worth
-MIXED = (
-    0.1  # of the contrast: pixels on a border between two colours lie so near the line between them (gamma bends it)
-)
+# A border that the picture does not locate to 3/4 of this (px) is taken from the labels. Their errors of up to half a
+# pixel are the same along a whole stretch, so that one of its points is worth little.
+WEAK = 2.0
+# Pixels on a border between two colours lie so near the line between them, as a part of the contrast; gamma bends it.
+MIXED = 0.1
+
+
+class Picture(NamedTuple):
+    """What a border is located in."""
+
+    values: np.ndarray  # (H, W, C) in [0, 1]
+    labels: np.ndarray  # (H, W) int
+    noise: float  # standard deviation
+
+
+class Crossing(NamedTuple):
+    """From the pixel (x, y) a step (dx, dy) along a row or a column leads across a border."""
+
+    y: int
+    x: int
+    dy: int
+    dx: int
+
+
+class BorderPoints(NamedTuple):
+    """Points of the borders of regions."""
+
+    q: np.ndarray  # (n, 2) px (x, y)
+    normal: np.ndarray  # (n, 2) outward, coarse
+    sigma: np.ndarray  # (n,) px along the normal
+    owner: np.ndarray  # (n,) label
+    beyond: np.ndarray  # (n,) label on the other side
 
 
 @njit()
-def level(values, labels, label, y, x, dy, dx, start, out):
-    """Mean colour of the pixels of one label beside a border: start .. start + REACH steps along (dy, dx), two lines to either
-    side, none of them next to another label. Returns their number."""
+def borders(picture, wanted):
+    """BorderPoints of the labels that are wanted: (n + 1,) bool.
+
+    A border between two pixels is located along the row or the column, whichever crosses it more steeply, from the area
+    under the profile: exact for straight edges however the lens and the pixels blur them, as long as they blur evenly.
+    """
+    labels = picture.labels
+    height, width, channels = picture.values.shape
+    most = count_crossings(labels, wanted)
+    points = BorderPoints(
+        np.empty((most, 2)), np.empty((most, 2)), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
+    )
+    inner, outer = np.empty(channels), np.empty(channels)
+    n = 0
+    for y in range(height):
+        for x in range(width):
+            if not wanted[labels[y, x]]:
+                continue
+            for k in range(4):
+                at = Crossing(y, x, (0, 0, 1, -1)[k], (1, -1, 0, 0)[k])
+                if not crosses(labels, at):
+                    continue
+                gx, gy = outward_normal(labels, at)
+                steep = gx * at.dx + gy * at.dy
+                if steep < 0.6 or notched(labels, at):  # the other axis crosses it more steeply
+                    continue
+                t, sigma, other = locate(picture, at, inner, outer)
+                points.q[n, 0], points.q[n, 1] = x + t * at.dx, y + t * at.dy
+                points.normal[n, 0], points.normal[n, 1] = gx, gy
+                points.sigma[n], points.owner[n], points.beyond[n] = sigma * steep, labels[y, x], other
+                n += 1
+    return BorderPoints(points.q[:n], points.normal[:n], points.sigma[:n], points.owner[:n], points.beyond[:n])
+
+
+@njit()
+def crosses(labels, at):
+    """Is there a pixel of another label one step away?"""
+    height, width = labels.shape
+    y, x = at.y + at.dy, at.x + at.dx
+    return 0 <= y < height and 0 <= x < width and labels[y, x] != labels[at.y, at.x]
+
+
+@njit()
+def count_crossings(labels, wanted):
+    height, width = labels.shape
+    n = 0
+    for y in range(height):
+        for x in range(width):
+            if wanted[labels[y, x]]:
+                for k in range(4):
+                    n += crosses(labels, Crossing(y, x, (0, 0, 1, -1)[k], (1, -1, 0, 0)[k]))
+    return n
+
+
+@njit()
+def outward_normal(labels, at):
+    """(x, y) from the region's share of a 7 x 7 window around either pixel; (0, 0) where it has none."""
+    height, width = labels.shape
+    label = labels[at.y, at.x]
+    gx = gy = 0.0
+    for j in range(-3, 4):
+        for i in range(-3, 4):
+            for step in range(2):
+                y, x = at.y + step * at.dy + j, at.x + step * at.dx + i
+                if 0 <= y < height and 0 <= x < width and labels[y, x] == label:
+                    gx -= i
+                    gy -= j
+    length = np.sqrt(gx * gx + gy * gy)
+    if length == 0:
+        return 0.0, 0.0
+    return gx / length, gy / length
+
+
+@njit()
+def notched(labels, at):
+    """Does the region come again behind the border? A ragged border counts once per line, at its outermost pixel."""
+    height, width = labels.shape
+    for t in range(2, REACH + 1):
+        y, x = at.y + t * at.dy, at.x + t * at.dx
+        if 0 <= y < height and 0 <= x < width and labels[y, x] == labels[at.y, at.x]:
+            return True
+    return False
+
+
+@njit()
+def steps_outside(labels, at):
+    """Steps to the first label that lasts: thin slivers on the edge belong to the transition. 0: none lasts."""
+    height, width = labels.shape
+    for t in range(1, REACH + 1):
+        y, x = at.y + t * at.dy, at.x + t * at.dx
+        y2, x2 = y + at.dy, x + at.dx
+        if not (0 <= y2 < height and 0 <= x2 < width) or labels[y, x] == labels[at.y, at.x]:
+            return 0
+        if labels[y, x] == labels[y2, x2]:
+            return t
+    return 0
+
+
+@njit()
+def locate(picture, at, inner, outer):
+    """Where the border lies, steps from the pixel; its sigma, steps; the label on the other side."""
+    labels = picture.labels
+    start = steps_outside(labels, at)
+    if not start:
+        return 0.5, WEAK, labels[at.y + at.dy, at.x + at.dx]
+    other = labels[at.y + start * at.dy, at.x + start * at.dx]
+    n_in = level(picture, labels[at.y, at.x], Crossing(at.y, at.x, -at.dy, -at.dx), 1, inner)
+    n_out = level(picture, other, at, start + 1, outer)
+    contrast = 0.0
+    for c in range(len(inner)):
+        contrast += (inner[c] - outer[c]) ** 2
+    if n_in < 2 or n_out < 2 or not contrast > 0:
+        return 0.5, WEAK, other
+    area, count = area_under_profile(picture, at, start, inner, outer, contrast)
+    if not count:
+        return 0.5, WEAK, other
+    located = 0.5 - REACH + area
+    spread = picture.noise * np.sqrt((count + REACH**2 * (1 / n_in + 1 / n_out)) / contrast)
+    if not (spread < 0.75 * WEAK and abs(located - 0.5 * start) < 2):
+        return 0.5, WEAK, other
+    if start > 1:  # a sliver may be a surface of its own
+        spread = max(spread, 0.5 * WEAK)
+    return located, spread, other
+
+
+@njit()
+def level(picture, label, at, start, out):
+    """Mean colour of the pixels of one label beside a border, into out; returns their number.
+
+    They lie start .. start + REACH - 1 steps away, on two lines to either side, and none is next to another label.
+    """
+    values, labels = picture.values, picture.labels
     height, width, channels = values.shape
     n = 0
     out[:] = 0
     for step in range(start, start + REACH):
         for line in range(-2, 3):
-            yy, xx = y + step * dy + line * dx, x + step * dx + line * dy
-            if yy < 0 or xx < 0 or yy >= height or xx >= width or labels[yy, xx] != label:
+            y, x = at.y + step * at.dy + line * at.dx, at.x + step * at.dx + line * at.dy
+            if y < 0 or x < 0 or y >= height or x >= width or labels[y, x] != label:
                 continue
-            if (
-                (yy > 0 and labels[yy - 1, xx] != label)
-                or (yy + 1 < height and labels[yy + 1, xx] != label)
-                or (xx > 0 and labels[yy, xx - 1] != label)
-                or (xx + 1 < width and labels[yy, xx + 1] != label)
-            ):
+            if beside_another(labels, y, x):
                 continue
             for c in range(channels):
-                out[c] += values[yy, xx, c]
+                out[c] += values[y, x, c]
             n += 1
     for c in range(channels):
         out[c] /= max(n, 1)
@@ -42,127 +193,55 @@ def level(values, labels, label, y, x, dy, dx, start, out):
 
 
 @njit()
-def borders(labels, values, wanted, noise):
-    """Points of the borders of the wanted labels: (n, 2) px (x, y), (n, 2) outward normal (coarse), (n,) sigma px, (n,) label.
-
-    A border between two pixels is located along the row or the column, whichever crosses it more steeply, from the area
-    under the profile: exact for straight edges however the lens and the pixels blur them, as long as they blur evenly.
-    """
-    height, width, channels = values.shape
-    most = 0
-    for y in range(height):
-        for x in range(width):
-            if wanted[labels[y, x]]:
-                for k in range(4):
-                    dy, dx = (0, 0, 1, -1)[k], (1, -1, 0, 0)[k]
-                    if 0 <= y + dy < height and 0 <= x + dx < width and labels[y + dy, x + dx] != labels[y, x]:
-                        most += 1
-    point, normal, sigma, owner, beyond = (
-        np.empty((most, 2)),
-        np.empty((most, 2)),
-        np.empty(most),
-        np.empty(most, np.int64),
-        np.empty(most, np.int64),
+def beside_another(labels, y, x):
+    """Is one of the four neighbours of another label?"""
+    height, width = labels.shape
+    label = labels[y, x]
+    return (
+        (y > 0 and labels[y - 1, x] != label)
+        or (y + 1 < height and labels[y + 1, x] != label)
+        or (x > 0 and labels[y, x - 1] != label)
+        or (x + 1 < width and labels[y, x + 1] != label)
     )
-    inner, outer = np.empty(channels), np.empty(channels)
-    n = 0
-    for y in range(height):
-        for x in range(width):
-            label = labels[y, x]
-            if not wanted[label]:
-                continue
-            for k in range(4):
-                dy, dx = (0, 0, 1, -1)[k], (1, -1, 0, 0)[k]
-                if not (0 <= y + dy < height and 0 <= x + dx < width) or labels[y + dy, x + dx] == label:
-                    continue
-                # The outward normal, from the region's share of a 7 x 7 window.
-                gx = gy = 0.0
-                for j in range(-3, 4):
-                    for i in range(-3, 4):
-                        if (
-                            0 <= y + dy + j < height
-                            and 0 <= x + dx + i < width
-                            and labels[y + dy + j, x + dx + i] == label
-                        ):
-                            gx -= i
-                            gy -= j
-                        if 0 <= y + j < height and 0 <= x + i < width and labels[y + j, x + i] == label:
-                            gx -= i
-                            gy -= j
-                length = np.sqrt(gx * gx + gy * gy)
-                if length == 0:
-                    continue
-                gx /= length
-                gy /= length
-                along = gx * dx + gy * dy
-                if along < 0.6:  # the other axis crosses it more steeply
-                    continue
-                # Outside: the first label that lasts; thin slivers on the edge belong to the transition.
-                start, notch = 0, False
-                for t in range(2, REACH + 1):
-                    yy, xx = y + t * dy, x + t * dx
-                    notch |= 0 <= yy < height and 0 <= xx < width and labels[yy, xx] == label
-                if notch:  # a ragged border counts once per line, at its outermost pixel
-                    continue
-                for t in range(1, REACH + 1):
-                    yy, xx = y + t * dy, x + t * dx
-                    y2, x2 = yy + dy, xx + dx
-                    if not (0 <= y2 < height and 0 <= x2 < width):
-                        break
-                    if labels[yy, xx] == label:
-                        break
-                    if labels[yy, xx] == labels[y2, x2]:
-                        start = t
-                        break
-                other = labels[y + dy, x + dx]
-                at, error = 0.5, WEAK
-                if start:
-                    other = labels[y + start * dy, x + start * dx]
-                    n_in = level(values, labels, label, y, x, -dy, -dx, 1, inner)
-                    n_out = level(values, labels, other, y, x, dy, dx, start + 1, outer)
-                    contrast = 0.0
-                    for c in range(channels):
-                        contrast += (inner[c] - outer[c]) ** 2
-                    if n_in >= 2 and n_out >= 2 and contrast > 0:
-                        area, count, whole = 0.0, 0, True
-                        for t in range(1 - REACH, start + REACH):
-                            yy, xx = y + t * dy, x + t * dx
-                            if not (0 <= yy < height and 0 <= xx < width) or (
-                                labels[yy, xx] != label and labels[yy, xx] != other and not 0 < t < start
-                            ):
-                                whole = False
-                                break
-                            f = 0.0
-                            for c in range(channels):
-                                f += (values[yy, xx, c] - outer[c]) * (inner[c] - outer[c])
-                            f /= contrast
-                            aside = 0.0  # off the line between the two colours: there is a third one
-                            for c in range(channels):
-                                aside = max(aside, abs(values[yy, xx, c] - outer[c] - f * (inner[c] - outer[c])))
-                            mixed = np.sqrt(contrast)
-                            if aside > 4.5 * noise + MIXED * mixed or abs(f - 0.5) > 0.5 + MIXED + 4.5 * noise / mixed:
-                                whole = False
-                                break
-                            area += f
-                            count += 1
-                        if whole:
-                            located = 0.5 - REACH + area
-                            spread = noise * np.sqrt((count + REACH**2 * (1 / n_in + 1 / n_out)) / contrast)
-                            if spread < 0.75 * WEAK and abs(located - 0.5 * start) < 2:
-                                at, error = (
-                                    located,
-                                    spread if start == 1 else max(spread, 0.5 * WEAK),
-                                )  # a sliver may be a surface of its own
-                point[n, 0], point[n, 1] = x + at * dx, y + at * dy
-                normal[n, 0], normal[n, 1] = gx, gy
-                sigma[n], owner[n], beyond[n] = error * along, label, other
-                n += 1
-    return point[:n], normal[:n], sigma[:n], owner[:n], beyond[:n]
+
+
+@njit()
+def area_under_profile(picture, at, start, inner, outer, contrast):
+    """Sum over REACH pixels to either side of their share of the inner colour, and their number.
+
+    (0, 0) where a pixel shows a third colour, or belongs to a third region that is no sliver on the edge.
+    """
+    values, labels, noise = picture.values, picture.labels, picture.noise
+    height, width, channels = values.shape
+    label, other = labels[at.y, at.x], labels[at.y + start * at.dy, at.x + start * at.dx]
+    mixed = np.sqrt(contrast)
+    area, count = 0.0, 0
+    for t in range(1 - REACH, start + REACH):
+        y, x = at.y + t * at.dy, at.x + t * at.dx
+        if not (0 <= y < height and 0 <= x < width):
+            return 0.0, 0
+        if labels[y, x] != label and labels[y, x] != other and not 0 < t < start:
+            return 0.0, 0
+        share = 0.0
+        for c in range(channels):
+            share += (values[y, x, c] - outer[c]) * (inner[c] - outer[c])
+        share /= contrast
+        aside = 0.0  # how far off the line between the two colours
+        for c in range(channels):
+            aside = max(aside, abs(values[y, x, c] - outer[c] - share * (inner[c] - outer[c])))
+        if aside > 4.5 * noise + MIXED * mixed or abs(share - 0.5) > 0.5 + MIXED + 4.5 * noise / mixed:
+            return 0.0, 0
+        area += share
+        count += 1
+    return area, count
 
 
 @njit()
 def straighten(uv, normal, first):
-    """Normals from the line through each point's neighbours within 5 px, and how far those lie off it (px, rms)."""
+    """Normals from the line through each point's neighbours within 5 px, and how far those lie off it (px, rms).
+
+    uv, normal : (n, 2), grouped by label and sorted by v;  first : the points of label l are first[l]:first[l + 1]
+    """
     off = np.full(len(uv), np.inf)
     better = normal.copy()
     for i in range(len(first) - 1):

@@ -4,12 +4,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lib.vision.facets import borders_kernels as kernels
-from lib.vision.facets import contours_kernels
+from lib.vision.facets import contours_kernels as kernels
+from lib.vision.facets.borders_kernels import WEAK
+from lib.vision.facets.contours_kernels import NORMAL_U, PART, RESIDUAL, SIGMA, WEIGHT, Border
+
+AGREE = 0.35  # px: a part of the border that lies so far from where the plane puts it is not the facet's own
+PARTS = 12  # parts tried as the ones that are
+LEAST_POINTS = 12  # of the border or of the texture
 
 
-def parts(labels, label, q):
-    """For each border point (n, 2) of a region the side of its outline, outer or of a hole, on which it lies: straight to 1.5 px."""
+def parts(labels, label: int, q) -> np.ndarray:
+    """(n,) index of the side of the region's outline, outer or of a hole, on which each border point q (n, 2) lies.
+
+    Sides are straight to 1.5 px.
+    """
     import cv2
 
     y, x = np.nonzero(labels == label)
@@ -30,21 +38,18 @@ def parts(labels, label, q):
     return part
 
 
-AGREE = 0.35  # px: a part of the border that lies so far from where the plane puts it is not the facet's own
-PARTS = 12  # parts tried as the ones that are
-
-
 def _own_parts(rows, n_parts, size):
-    """Which parts of the border are the facet's own, and the step (a, b, c) they ask for.
+    """Which parts of the border are the facet's own, (n_parts,) bool, and the step (a, b, c) they ask for; or None.
 
-    A border belongs to the nearer of the two surfaces that meet there. What hides part of the facet lies in front of it, so each part
-    either agrees with the facet's plane or has *more* disparity; no border can lie behind. Every two and three parts propose a plane; the
-    one wins with which most of the border, as seen across the epipolar lines, agrees, less what would lie behind.
+    A border belongs to the nearer of the two surfaces that meet there. What hides part of the facet lies in front of
+    it, so each part either agrees with the facet's plane or has *more* disparity; no border can lie behind. Every two
+    and three parts propose a plane. That one wins with which most of the border, as seen across the epipolar lines,
+    agrees, less what would lie behind.
     """
-    strong = rows[:, 7] < kernels.WEAK
-    part = rows[:, 6].astype(int)
-    J = rows[:, :3] * rows[:, 7:8] / [size, size, 1]
-    r, nu = rows[:, 3] * rows[:, 7], rows[:, 5]
+    strong = rows[:, SIGMA] < WEAK
+    part = rows[:, PART].astype(int)
+    J = rows[:, :3] * rows[:, SIGMA : SIGMA + 1] / [size, size, 1]
+    r, nu = rows[:, RESIDUAL] * rows[:, SIGMA], rows[:, NORMAL_U]
     weight = strong.astype(float)
     sums = lambda x: np.bincount(part, weight * x, n_parts)
     n = sums(1.0)
@@ -52,7 +57,7 @@ def _own_parts(rows, n_parts, size):
     A = np.array([[sums(J[:, p] * J[:, q]) for p in range(3)] for q in range(3)]).transpose(2, 0, 1)
     b, c = np.stack([sums(J[:, p] * r) for p in range(3)], axis=1), sums(r * r)
     mean = np.stack([sums(nu * J[:, p]) for p in range(3)], axis=1), sums(nu * r)
-    noise = sums(rows[:, 7] ** 2)
+    noise = sums(rows[:, SIGMA] ** 2)
     top = [p for p in np.argsort(-info, kind="stable")[:PARTS] if info[p] >= 2]
     sets = [(p, q, s) for i, p in enumerate(top) for j, q in enumerate(top[i:], i) for s in top[j:]]
     if not sets:
@@ -60,10 +65,9 @@ def _own_parts(rows, n_parts, size):
     some = np.array(sets)
     member = np.zeros((len(sets), n_parts))
     np.put_along_axis(member, some, 1.0, axis=1)
-    prior = np.diag([0.02, 0.02, 1e-6]) * 1.0  # px^-2: what few parts do not say stays near
-    x = -np.linalg.solve(np.einsum("hp,pij->hij", member, A) + prior, np.einsum("hp,pi->hi", member, b)[..., None])[
-        ..., 0
-    ]
+    prior = np.diag([0.02, 0.02, 1e-6])  # px^-2: what few parts do not say stays near
+    A_of, b_of = np.einsum("hp,pij->hij", member, A) + prior, np.einsum("hp,pi->hi", member, b)
+    x = -np.linalg.solve(A_of, b_of[..., None])[..., 0]
     square = np.einsum("hi,pij,hj->hp", x, A, x) + 2 * x @ b.T + c
     with np.errstate(invalid="ignore", divide="ignore"):
         rms2 = np.where(n > 0, np.maximum(square - noise, 0) / n, np.inf)
@@ -71,19 +75,20 @@ def _own_parts(rows, n_parts, size):
     agree = np.maximum(1 - rms2 / AGREE**2, 0)
     score = (info * agree).sum(axis=1) - (info * ((agree == 0) & (ahead < -2 * AGREE))).sum(axis=1)
     h = int(score.argmax())
-    return agree[h] > 0, x[h] / [size, size, 1], score[h] / max(info.sum(), 1e-12)
-
-
-LEAST_POINTS = 12  # of the border or of the texture
+    return agree[h] > 0, x[h] / [size, size, 1]
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What the borders of a pair say: sums of normal equations by side of the outline, at a plane (a, b, c at uv0).
+    """What a pair of regions says of its plane: sums of normal equations by side of the outline, at the plane.
 
-    A : (3, 3), b : (3,)                    over all points, in units of (size, size, 1), divided by scale^2
-    B : (P, 3), C, D : (P,)                 the same of a common offset of each side, px: with the plane, with itself, with the residual
-    square : of the residuals               points : their number          rms_px : weighted
+    plane : (a, b, c) of the disparity at uv0, (2,) rectified px;  size : px, of the region
+    A : (3, 3), b : (3,)      over all points, in units of (size, size, 1), divided by scale^2
+    B : (P, 3), C, D : (P,)   the same of an offset of each side, px: with the plane, with itself, with the residual
+    square                    sum of the squared residuals
+    points, rms_px            number of border points, how far borders lie apart (weighted)
+    rows                      (points, kernels.COLUMNS)
+    texture                   (plane, A) of the intensities, or None
     """
 
     plane: np.ndarray
@@ -98,23 +103,39 @@ class Measured:
     points: int
     rms_px: float
     rows: np.ndarray
-    texture: tuple = None  # (plane, A) of the intensities, or None
+    texture: tuple | None = None
 
-    def widened(self, factor):
+    @classmethod
+    def nothing(cls, plane, uv0, size: float):
+        """Of a region whose borders say nothing."""
+        return cls(
+            plane=plane,
+            uv0=np.array(uv0),
+            size=size,
+            A=np.zeros((3, 3)),
+            b=np.zeros(3),
+            B=np.zeros((1, 3)),
+            C=np.zeros(1),
+            D=np.zeros(1),
+            square=0.0,
+            points=0,
+            rms_px=0.0,
+            rows=np.empty((0, kernels.COLUMNS)),
+        )
+
+    def widened(self, factor: float):
         """The borders' variances times `factor`, and the texture added."""
         A, b = self.A / factor, self.b / factor
         if self.texture is not None:
-            A, b = (
-                A + self.texture[1],
-                b + self.texture[1] @ ((self.plane - self.texture[0]) * [self.size, self.size, 1]),
-            )
+            plane, information = self.texture
+            A, b = A + information, b + information @ ((self.plane - plane) * [self.size, self.size, 1])
         return replace(
             self, A=A, b=b, B=self.B / factor, C=self.C / factor, D=self.D / factor, square=self.square / factor
         )
 
 
-def away(shape, pixels, q):
-    """Those of the pixels (indices) that are at least 4 px from all q (n, 2)."""
+def away(shape, pixels, q) -> np.ndarray:
+    """Those of the flat pixels that are at least 4 px from all q (n, 2)."""
     import cv2
 
     near = np.zeros(shape, np.uint8)
@@ -124,37 +145,53 @@ def away(shape, pixels, q):
     return pixels[near.ravel()[pixels] == 0]
 
 
-def contour_plane(plane, uv0, size, mine, other, part, reach, iterations):
-    """_Measured from the borders alone; None where they do not meet."""
-    rows = np.empty((len(mine[0]), 10))
+def contour_plane(plane, uv0, size, left: Border, right: Border, part, iterations: int) -> Measured | None:
+    """From the borders alone; None where they do not meet.
+
+    plane : (a, b, c) at uv0 to start from;  part : of the left points, see `parts`;  iterations : at most, of each fit
+    """
+    rows = np.empty((len(left.uv), kernels.COLUMNS))
     n_parts = int(part.max()) + 1
-    plane, n = contours_kernels.fit_contours(plane, *uv0, size, reach, iterations, (*mine, part), other, rows)
+    plane, n = kernels.fit_contours(plane, uv0, size, 4.0, iterations, left, part, right, rows)
     for reach in (6.0, 3.0, 1.5):
-        n = contours_kernels.contour_rows(plane, *uv0, reach, 1.0, *mine, part, *other, rows)
+        n = kernels.contour_rows(plane, uv0, reach, 1.0, left, part, right, rows)
         own = _own_parts(rows[:n], n_parts, size)
         if own is None:
             return None
-        plane = plane + own[1]
-    keep = own[0][part]
-    mine, part = tuple(np.ascontiguousarray(x[keep]) for x in mine), part[keep]
-    plane, n = contours_kernels.fit_contours(plane, *uv0, size, 1.0, iterations, (*mine, part), other, rows)
-    rows = rows[:n][rows[:n, 4] > 0.1]
-    if len(rows) < LEAST_POINTS:
-        return None
-    J, e, w = rows[:, :3] / [size, size, 1], rows[:, 3], rows[:, 4]
-    part, one = rows[:, 6].astype(int), 1 / rows[:, 7]
+        own, step = own
+        plane = plane + step
+    keep = own[part]
+    left, part = Border(*(np.ascontiguousarray(x[keep]) for x in left)), part[keep]
+    plane, n = kernels.fit_contours(plane, uv0, size, 1.0, iterations, left, part, right, rows)
+    rows = rows[:n][rows[:n, WEIGHT] > 0.1]
+    return _normal_equations(plane, uv0, size, rows, n_parts) if len(rows) >= LEAST_POINTS else None
+
+
+def _normal_equations(plane, uv0, size, rows, n_parts):
+    J, e, w = rows[:, :3] / [size, size, 1], rows[:, RESIDUAL], rows[:, WEIGHT]
+    part, one = rows[:, PART].astype(int), 1 / rows[:, SIGMA]
     sums = lambda x: np.bincount(part, w * x, n_parts)
     return Measured(
-        plane,
-        np.array(uv0),
-        size,
-        (J * w[:, None]).T @ J,
-        J.T @ (w * e),
-        np.stack([sums(J[:, p] * one) for p in range(3)], axis=1),
-        sums(one * one),
-        sums(one * e),
-        float((w * e * e).sum()),
-        len(rows),
-        float(np.sqrt((w * (rows[:, 3] * rows[:, 7]) ** 2).sum() / w.sum())),
-        rows,
+        plane=plane,
+        uv0=np.array(uv0),
+        size=size,
+        A=(J * w[:, None]).T @ J,
+        b=J.T @ (w * e),
+        B=np.stack([sums(J[:, p] * one) for p in range(3)], axis=1),
+        C=sums(one * one),
+        D=sums(one * e),
+        square=float((w * e * e).sum()),
+        points=len(rows),
+        rms_px=float(np.sqrt((w * (rows[:, RESIDUAL] * rows[:, SIGMA]) ** 2).sum() / w.sum())),
+        rows=rows,
     )
+
+
+def borders_apart(plane, uv0, left: Border, right: Border) -> float:
+    """How far the right border lies from the left one that the plane moves: px along its normal, the points' median.
+
+    Within 4 px: what is farther is another border. nan where no two points meet.
+    """
+    rows, part = np.empty((len(left.uv), kernels.COLUMNS)), np.zeros(len(left.uv), np.int64)
+    n = kernels.contour_rows(plane, uv0, 4.0, 1.0, left, part, right, rows)
+    return float(np.median(np.abs(rows[:n, RESIDUAL] * rows[:n, SIGMA]))) if n else np.nan

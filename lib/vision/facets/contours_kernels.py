@@ -1,25 +1,49 @@
 """Compiled: a plane from the borders of a pair of regions."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lib.core.compiled import njit
 from lib.vision import matching_kernels as kernels
 from lib.vision.facets.borders_kernels import WEAK
 
-# -- contours
+# px: no border point is better than this, for pixels are not ideal windows and light does not mix in display values.
+FLOOR = 0.03
+# Of the residuals over sigma: even without any noise a picture tells no more than this.
+LEAST_SCALE = 0.05
 
-FLOOR = 0.03  # px: pixels are not ideal windows, light does not mix in display values: no border point is better
+# The columns of a table of border points: what the plane's equations are made of. 0 to 2 are the coefficients of
+# (a, b, c) over sigma.
+RESIDUAL = 3  # over sigma
+WEIGHT = 4  # Tukey's
+NORMAL_U = 5  # of the right border
+PART = 6  # side of the outline
+SIGMA = 7  # px
+U, V = 8, 9  # rectified px of the left point
+COLUMNS = 10
 
-LEAST_SCALE = 0.05  # of the residuals over sigma: pictures without any noise are still no better known than this
+
+class Border(NamedTuple):
+    """The border points of one region, sorted by v."""
+
+    uv: np.ndarray  # (n, 2) rectified px
+    normal: np.ndarray  # (n, 2) outward
+    sigma: np.ndarray  # (n,) px along the normal
+    bend: np.ndarray  # (n,) px: how far its neighbours are off a line
 
 
 @njit()
-def contour_rows(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, lpart, ruv, rnormal, rsigma, rbend, rows):
-    """Compare the left border, moved by the plane (a, b, c at (u0, v0)), with the right one, along the right one's normal.
+def contour_rows(plane, centre, reach, scale, left, part, right, rows):
+    """Compare the left border, moved by the plane (a, b, c at the centre), with the right one, along its normal.
 
-    rows : out, per point used: coefficients of (a, b, c) and the residual, all over sigma; Tukey's weight; the right normal's u; part;
-    sigma, px; u; v. Returns their number.
+    centre : (u, v);  part : (n,) side of the outline of each left point
+    reach : px, of Tukey's weight;  scale : of the sigma of well located points
+    rows : (n, COLUMNS), out: of each point that has a partner. Returns their number.
     """
+    u0, v0 = centre
+    luv, lnormal, lsigma, lbend = left
+    ruv, rnormal, rsigma, rbend = right
     n, lo = 0, 0
     for k in range(len(luv)):
         du0, dv0 = luv[k, 0] - u0, luv[k, 1] - v0
@@ -44,21 +68,25 @@ def contour_rows(plane, u0, v0, reach, scale, luv, lnormal, lsigma, lbend, lpart
             sigma *= scale
         r = nu * du + nv * dv
         cut = max(reach, 4.7 * sigma)
-        rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = -nu * du0 / sigma, -nu * dv0 / sigma, -nu / sigma, r / sigma
-        rows[n, 4] = (1 - (r / cut) ** 2) ** 2 if abs(r) < cut else 0.0
-        rows[n, 5], rows[n, 6], rows[n, 7], rows[n, 8], rows[n, 9] = nu, lpart[k], sigma, luv[k, 0], v
+        rows[n, 0], rows[n, 1], rows[n, 2] = -nu * du0 / sigma, -nu * dv0 / sigma, -nu / sigma
+        rows[n, RESIDUAL] = r / sigma
+        rows[n, WEIGHT] = (1 - (r / cut) ** 2) ** 2 if abs(r) < cut else 0.0
+        rows[n, NORMAL_U], rows[n, PART], rows[n, SIGMA], rows[n, U], rows[n, V] = nu, part[k], sigma, luv[k, 0], v
         n += 1
     return n
 
 
 @njit()
-def fit_contours(plane, u0, v0, size, reach, iterations, left, right, rows):
-    """Iterate to the plane; rows as above at the last step, sigma as the residuals show it. Returns the plane and n."""
+def fit_contours(plane, centre, size, reach, iterations, left, part, right, rows):
+    """Iterate to the plane; rows as above at the last step, sigma as the residuals show it. Returns the plane and n.
+
+    size : px, of the region;  iterations : at most
+    """
     plane = plane.copy()
     A, b = np.zeros((3, 3)), np.zeros(3)
     scale, n = 1.0, 0
     for iteration in range(iterations + 1):
-        n = contour_rows(plane, u0, v0, reach, scale, *left, *right, rows)
+        n = contour_rows(plane, centre, reach, scale, left, part, right, rows)
         if n < 4 or iteration == iterations:
             break
         # What the borders do not say stays as it is.
@@ -68,13 +96,13 @@ def fit_contours(plane, u0, v0, size, reach, iterations, left, right, rows):
         for k in range(n):
             for p in range(3):
                 for q in range(3):
-                    A[p, q] += rows[k, 4] * rows[k, p] * rows[k, q]
-                b[p] -= rows[k, 4] * rows[k, p] * rows[k, 3]
+                    A[p, q] += rows[k, WEIGHT] * rows[k, p] * rows[k, q]
+                b[p] -= rows[k, WEIGHT] * rows[k, p] * rows[k, RESIDUAL]
         s0, s1, s2 = kernels.solve3(A, b)
         plane[0] += s0
         plane[1] += s1
         plane[2] += s2
-        strong = rows[:n, 3][rows[:n, 7] < 0.5 * WEAK * scale]
+        strong = rows[:n, RESIDUAL][rows[:n, SIGMA] < 0.5 * WEAK * scale]
         if len(strong) >= 20:  # what the residuals say of sigma, unless they are too few
             scale = max(scale * max(1.4826 * np.median(np.abs(strong)), 0.1), LEAST_SCALE)
         small = abs(s0) * size + abs(s1) * size + abs(s2) < 1e-4

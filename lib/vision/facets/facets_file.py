@@ -2,14 +2,19 @@
 
 import numpy as np
 
-from lib.vision.facets import borders_kernels as kernels
+from lib.core import artefact
+from lib.core.stage import BadInput
+from lib.vision.facets.borders_kernels import WEAK
 
 
 def outline(labels, label, camera, m, q, sigma):
     """(P, 3) the outer outline of a region on the plane m . x = 1; None where part of it lies behind the camera.
 
-    q, sigma : the region's border points (n, 2) px and how well each is located. Each straight side of the outline is the line through
-    its points, its corners are where the lines meet; a side without points is the pixels' outer edge.
+    m : (3,) in the camera's frame
+    q, sigma : the region's border points (n, 2) px, and px how well each is located
+
+    Each straight side of the outline is the line through its points, and its corners are where the lines meet. A side
+    without points is the pixels' outer edge.
     """
     import cv2
 
@@ -21,13 +26,22 @@ def outline(labels, label, camera, m, q, sigma):
     ring = cv2.approxPolyDP(max(contours, key=len), 1.5, True)[:, 0].astype(float) + [x0, y0]
     if len(ring) < 3:
         return None
+    corner = _corners(ring, q[sigma < 0.5 * WEAK])
+    v = camera.directions(np.clip(corner, -0.5, np.array(labels.shape[::-1]) - 0.5))
+    height = v @ m
+    if not (height > 1e-6 * np.linalg.norm(m)).all():
+        return None
+    return v / height[:, None]
+
+
+def _corners(ring, q):
+    """(P, 2) px: where the sides of a ring of pixels (P, 2) meet, each the line through those points of q near it."""
     along = np.roll(ring, -1, 0) - ring
     length = np.linalg.norm(along, axis=1, keepdims=True)
     along = along / length
     turn = np.sign((ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1)).sum())
     outward = turn * np.column_stack([along[:, 1], -along[:, 0]])
     base, direction = ring + 0.5 * outward, along.copy()
-    q = q[sigma < 0.5 * kernels.WEAK]
     for k in range(len(ring)):
         t, off = (q - ring[k]) @ along[k], (q - ring[k]) @ outward[k]
         near = q[(t > 1.5) & (t < length[k] - 1.5) & (np.abs(off - 0.5) < 1.5)]
@@ -45,11 +59,7 @@ def outline(labels, label, camera, m, q, sigma):
     meet = before + s[:, None] * back
     sharp &= np.linalg.norm(meet - ring, axis=1) < 3
     corner[sharp] = meet[sharp]
-    v = camera.directions(np.clip(corner, -0.5, np.array(labels.shape[::-1]) - 0.5))
-    height = v @ m
-    if not (height > 1e-6 * np.linalg.norm(m)).all():
-        return None
-    return v / height[:, None]
+    return corner
 
 
 # -- files
@@ -84,7 +94,7 @@ def write_ply(path, found, colours):
     import mapbox_earcut
 
     points, faces = [], []
-    for x, colour in zip(found, colours):
+    for x, colour in zip(found, colours, strict=True):
         n = x.plane[0]
         u = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
         u /= np.linalg.norm(u)
@@ -92,21 +102,19 @@ def write_ply(path, found, colours):
         t = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], np.uint32)).reshape(-1, 3).astype(int)
         faces += (t + len(points)).tolist()
         rgb = np.round(255 * np.clip(np.broadcast_to(colour, 3), 0, 1)).astype(int)
-        points += ["%.9g %.9g %.9g %d %d %d" % (*p, *rgb) for p in x.polygon]
+        points += [" ".join([f"{c:.9g}" for c in p] + [str(c) for c in rgb]) for p in x.polygon]
     with open(path, "w", encoding="ascii") as file:
         file.write(
             f"ply\nformat ascii 1.0\ncomment left camera: x right, y down, z forward\nelement vertex {len(points)}\n"
-            "property double x\nproperty double y\nproperty double z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+            "property double x\nproperty double y\nproperty double z\n"
+            "property uchar red\nproperty uchar green\nproperty uchar blue\n"
             f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
         )
-        file.write("".join(p + "\n" for p in points) + "".join("3 %d %d %d\n" % tuple(t) for t in faces))
+        file.write("".join(p + "\n" for p in points) + "".join(f"3 {a} {b} {c}\n" for a, b, c in faces))
 
 
 def unit_of(orientation):
     """ "m", or "baseline" where orientation.json (path or None) says so."""
-    from lib.core import artefact
-    from lib.core.stage import BadInput
-
     if orientation is None:
         return "m"
     content = artefact.read_json(orientation)

@@ -1,0 +1,119 @@
+"""How well planes are known, beyond the noise of independent points.
+
+Three things add to it. Neighbouring points err together (`together`). Sides of outlines are off as a whole
+(`side_sigma`, `own_side_sigma`). Borders and texture may contradict each other (`disagreement`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lib.vision.facets.contours import Measured
+from lib.vision.facets.contours_kernels import PART, RESIDUAL, WEIGHT, U, V
+
+MISFIT = 1.5  # times the ordinary rms of the pair's borders: what lies farther apart is not one plane's
+CHI2_95 = 7.81  # of 3 degrees of freedom
+SIDE_SIGMAS = np.array([0, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])  # px, tried
+
+
+class NormalEquations(NamedTuple):
+    """Of a plane's correction x, in units of (size, size, 1): square + 2 b x + x A x."""
+
+    A: np.ndarray  # (3, 3)
+    b: np.ndarray  # (3,)
+    square: float
+    log_determinant: float  # of the variance that the sides add
+
+
+def with_sides(x: Measured, sigma_side: float) -> NormalEquations:
+    """At x.plane, where each side of the outline is off by sigma_side px as a whole."""
+    if sigma_side == 0:
+        return NormalEquations(x.A, x.b, x.square, 0.0)
+    k = 1 / (x.C + 1 / sigma_side**2)
+    return NormalEquations(
+        x.A - np.einsum("p,pi,pj->ij", k, x.B, x.B),
+        x.b - (k * x.D) @ x.B,
+        x.square - float((k * x.D**2).sum()),
+        float(np.log1p(sigma_side**2 * x.C).sum()),
+    )
+
+
+def together(measured: list[Measured]) -> float:
+    """How much more (or less) the scores of neighbouring border points add up than independent ones would.
+
+    Their variance over 16 px of a side against the sum of their variances, mean over the pair's facets.
+    """
+    ratios = [ratio for ratio in map(_of_neighbours, measured) if ratio is not None]
+    return float(np.clip(np.mean(ratios), 0.5, 16)) if ratios else 1.0
+
+
+def _of_neighbours(x):
+    """That of one facet; None where it has too few points to tell."""
+    if len(x.rows) == 0:
+        return None
+    cell = (x.rows[:, PART] * 4096 + x.rows[:, U] // 16 % 64) * 64 + x.rows[:, V] // 16 % 64
+    cell = np.unique(cell, return_inverse=True)[1]
+    if cell.max() < 7:
+        return None
+    J = x.rows[:, :3] / [x.size, x.size, 1]
+    w = x.rows[:, WEIGHT]
+    scores = np.stack([np.bincount(cell, w * x.rows[:, RESIDUAL] * J[:, k]) for k in range(3)], axis=1)
+    own = np.stack([[np.bincount(cell, w * J[:, p] * J[:, q]) for p in range(3)] for q in range(3)]).transpose(2, 0, 1)
+    inverse = np.linalg.pinv(own.sum(axis=0))
+    fitted = np.einsum("cij,cji", inverse @ own, inverse @ own)  # what the fit has taken out of the residuals
+    if not fitted < 2:
+        return None
+    alone = (w * x.rows[:, RESIDUAL]) ** 2 @ np.einsum("ki,ij,kj->k", J, inverse, J)
+    if not alone > 0:
+        return None
+    return np.einsum("ci,ij,cj", scores, inverse, scores) / alone * 3 / (3 - fitted)
+
+
+def side_sigma(measured: list[Measured]) -> float:
+    """How far sides of outlines are off as a whole (slivers too thin to see, blur that differs left from right): px.
+
+    One number for the pair, by restricted maximum likelihood. In one facet, what is common to a side's points cannot be
+    told from the facet's own disparity. Over all facets it can, for a facet has more sides than unknowns.
+    """
+    cost = np.zeros((len(measured), len(SIDE_SIGMAS)))
+    for i, x in enumerate(measured):
+        for k, s in enumerate(SIDE_SIGMAS):
+            A, b, square, volume = with_sides(x, s)
+            A = A + 1e-9 * np.eye(3)
+            cost[i, k] = square - b @ np.linalg.solve(A, b) + volume + np.linalg.slogdet(A)[1]
+    return float(SIDE_SIGMAS[cost.sum(axis=0).argmin()]) if len(measured) else 0.0
+
+
+def ordinary_rms(measured: list[Measured]) -> float:
+    """How far borders lie apart (px, rms) on facets that are what they seem.
+
+    The lower quartile of the pair, for in some pairs most regions are not.
+    """
+    rms = [x.rms_px for x in measured if x.points]
+    return float(np.quantile(rms, 0.25)) if rms else 0.0
+
+
+def own_side_sigma(x: Measured, sigma_side: float, ordinary: float) -> float:
+    """How far this facet's sides may be off as a whole, px.
+
+    A region that is not one plane, or that ends at a shadow, an isophote of shading or an occluder, has sides that move
+    with disparities of their own. The fit spends three unknowns on few sides, so only what the plane leaves over shows
+    it. And it errs along whole sides, not point by point: more points do not average it away. So a facet whose borders
+    lie farther apart than the pair's do, beyond what chance makes of a dozen points, carries all of that distance as an
+    error of each side.
+    """
+    return float(np.hypot(sigma_side, x.rms_px)) if x.points and x.rms_px > MISFIT * ordinary else sigma_side
+
+
+def disagreement(x: Measured, A, b) -> float:
+    """How much wider the covariance must be where borders and texture contradict each other beyond chance (95 %): >= 1.
+
+    A, b : of both. With x = -A^-1 b, and the same of the texture alone, the step between them has the covariance
+    T^-1 - A^-1.
+    """
+    if x.texture is None or x.points == 0:
+        return 1.0
+    plane, T = x.texture
+    step = np.linalg.pinv(T) @ (T @ ((x.plane - plane) * [x.size, x.size, 1])) - np.linalg.pinv(A) @ b
+    spread = np.linalg.pinv(T) - np.linalg.pinv(A)
+    return max(1.0, float(step @ np.linalg.pinv(spread, rcond=1e-6, hermitian=True) @ step) / CHI2_95)
