@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""§2 Lenses and relative pose of the pair: by mrcal from chessboards; without boards the lenses alone, from the photographs.
+"""§2 Lenses and relative pose of the pair by mrcal from chessboards; without boards the lenses from the photographs.
 
-    $ stages/calibrate.py --boards boards/ --board '{"corners": [9, 6], "square_m": 0.025}' --lens '"LENSMODEL_OPENCV8"' \
-          --camera left.cameramodel --camera-right right.cameramodel --corners corners.vnl --calibration calibration.json
+    $ stages/calibrate.py --boards boards/ --board '{"corners": [9, 6], "square_m": 0.025}' \
+          --lens '"LENSMODEL_OPENCV8"' --camera left.cameramodel --camera-right right.cameramodel \
+          --corners corners.vnl --calibration calibration.json
 
 reads   boards        folder of left-*, right-* images of the board, or of corners.vnl, which spares the detection
         photograph, photograph_right    the pair: with boards it tells the scene's distance, without it is all there is
-writes  camera, camera_right    with boards: mrcal's models, in the left camera's frame, metres; else pinholes of one centre
+writes  camera, camera_right    with boards: mrcal's models, in the left camera's frame, metres
+                      without: pinholes of one centre
         corners       mrcal's corners, of what was found (empty without boards)
         calibration   how far they can be trusted: uncertainty, cross-validation, verdict (data/FORMATS.md)
 """

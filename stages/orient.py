@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """§2 The relative pose of the pair, up to scale, from the photographs and their lenses: the baseline has length 1.
 
-    $ stages/orient.py --photograph left.png --photograph-right right.png --lens-camera left.cameramodel --lens-camera-right right.cameramodel \
+    $ stages/orient.py --photograph left.png --photograph-right right.png \
+          --lens-camera left.cameramodel --lens-camera-right right.cameramodel \
           --camera left.oriented.cameramodel --camera-right right.oriented.cameramodel --orientation orientation.json
 
 reads   photograph, photograph_right, lens_camera, lens_camera_right    pinholes; their own poses are not looked at
@@ -17,12 +18,11 @@ from lib.core import stage
 
 
 def options():
-    parser = stage.parser(
+    return stage.parser(
         __doc__,
         reads="photograph photograph_right lens_camera lens_camera_right",
         writes="camera camera_right orientation",
     )
-    return parser
 
 
 def main(opt):
@@ -38,39 +38,19 @@ def main(opt):
             import pycolmap  # noqa: F401
 
             from lib.core import artefact
-            from lib.given import cameras
+            from lib.given import cameras, view
             from lib.vision import boards, orientation
 
         pair = [dataclasses.replace(cameras.read_cameramodel(path), T_cam_world=np.eye(4)) for path in lenses]
-        grey = [boards.grey8(path) for path in photographs]
-        for path, picture, camera in zip(photographs, grey, pair):
-            if picture.shape != (camera.height, camera.width):
-                raise stage.BadInput(
-                    f"{path}: size: {picture.shape[1]} x {picture.shape[0]} is not the camera's {camera.width} x {camera.height}"
-                )
+        greys = [boards.grey8(path) for path in photographs]
+        for problem in map(view.size_problem, photographs, greys, pair, lenses):
+            if problem:
+                raise stage.BadInput(problem)
         with report.timing("match"):
-            q = orientation.match(*grey)
+            q = orientation.match(*greys)
         with report.timing("pose"):
-            pose = orientation.relative_pose(*pair, *q, names=" and ".join(photographs))
-        if pose.planar:
-            report.warning(
-                "the matches lie on one plane"
-                + (
-                    ": two poses explain them, and the other is listed in orientation.json"
-                    if pose.other is not None
-                    else ""
-                )
-            )
-        if pose.inlier.mean() < 0.5:  # a pattern that repeats: the wrong pose may agree with itself
-            report.warning(
-                f"only {pose.inlier.sum()} of {len(q[0])} matches agree with the pose: it may be another one"
-            )
-        turn, direction = (
-            float(np.degrees(np.sqrt(np.trace(block)))) for block in (pose.covariance[:3, :3], pose.covariance[3:, 3:])
-        )
-        report.error("rms", pose.rms_px, unit="px", against="the epipolar constraint")
-        report.error("sigma_rotation", turn, unit="degree", against="the matches' noise")
-        report.error("sigma_baseline_direction", direction, unit="degree", against="the matches' noise")
+            pose = orientation.relative_pose(*pair, *q, names=" and ".join(photographs), trace=report.trace)
+        tell(report, pose)
         pair[1] = dataclasses.replace(pair[1], T_cam_world=cameras.matrix_from_rt(pose.rt_right_left))
         with artefact.writing_all(opt.camera, opt.camera_right, opt.orientation) as (left, right, text):
             cameras.write_cameramodel(left, pair[0])
@@ -82,7 +62,7 @@ def main(opt):
                     "rt_right_left": pose.rt_right_left,
                     "covariance": pose.covariance,
                     "inliers": int(pose.inlier.sum()),
-                    "matches": len(q[0]),
+                    "matches": len(pose.inlier),
                     "rms_px": pose.rms_px,
                     "parallax_px": pose.parallax_px,
                     "angle_deg": pose.angle_deg,
@@ -90,6 +70,23 @@ def main(opt):
                     "other": pose.other,
                 },
             )
+
+
+def tell(report, pose):
+    """Warnings and errors of a RelativePose."""
+    import numpy as np
+
+    if pose.planar:
+        more = ": two poses explain them, and the other is listed in orientation.json"
+        report.warning("the matches lie on one plane" + (more if pose.other is not None else ""))
+    if pose.inlier.mean() < 0.5:  # a pattern that repeats: the wrong pose may agree with itself
+        agree = f"{pose.inlier.sum()} of {len(pose.inlier)} matches"
+        report.warning(f"only {agree} agree with the pose: it may be another one")
+    spread = lambda block: float(np.degrees(np.sqrt(np.trace(block))))
+    turn, direction = spread(pose.covariance[:3, :3]), spread(pose.covariance[3:, 3:])
+    report.error("rms", pose.rms_px, unit="px", against="the epipolar constraint")
+    report.error("sigma_rotation", turn, unit="degree", against="the matches' noise")
+    report.error("sigma_baseline_direction", direction, unit="degree", against="the matches' noise")
 
 
 if __name__ == "__main__":

@@ -1,16 +1,18 @@
 #!/usr/bin/env python3
-"""§2.4 Recognition: which part of the model the facets show, from where; then the pose refined on the edges of both photographs.
+"""§2.4 Which part of the model the facets show, from where; the pose is then refined on the edges of both photographs.
 
     $ stages/recognise.py --facets facets.json --model model.obj --photograph left.png --photograph-right right.png \
-          --regions left.regions.png --regions-right right.regions.png --camera left.cameramodel --camera-right right.cameramodel \
-          --posed left.posed.cameramodel --posed-right right.posed.cameramodel --pose pose.json --report recognise.report.json
+          --regions left.regions.png --regions-right right.regions.png \
+          --camera left.cameramodel --camera-right right.cameramodel \
+          --posed left.posed.cameramodel --posed-right right.posed.cameramodel --pose pose.json \
+          --report recognise.report.json
 
 reads   facets, model; photographs, their regions and their pinhole cameras in the pair's frame
         orientation      the pair has no scale: the model gives it
         calibration      how well the cameras' projections are known
 writes  posed, posed-right   the cameras in the model's frame
-        pose            rt_cam_world, its covariance (6, 6) of (omega, tau): T = exp(omega, tau) T_hat along the left camera's axes, rad and m;
-                        matches, trace, ambiguous
+        pose            rt_cam_world; its covariance (6, 6) of (omega, tau): T = exp(omega, tau) T_hat along the left
+                        camera's axes, rad and m; matches, trace, ambiguous
 """
 
 import sys
@@ -37,25 +39,27 @@ def options():
     parser.add_argument(
         "--lens-px",
         default="auto",
-        help="how well the cameras' own projections are known, px: it goes into the covariance; auto: by the calibration, else 0.1",
+        help="how well the cameras' own projections are known, px: it goes into the covariance; "
+        "auto: by the calibration, else 0.1",
     )
     return parser
 
 
 POOR_PX = 0.25  # rms; sharp photographs of an exact model stay at 0.06 to 0.15
+LENS_PX = 0.1  # one sigma of a projected pixel where nobody says it
 
 
 def known_px(word, calibration):
-    """One sigma of a projected pixel: the number given, or what the calibration says of it."""
+    """One sigma of a projected pixel: the number given, or what calibration.json (or None) says of it."""
     if word != "auto":
         try:
             return float(word)
         except ValueError:
             raise stage.BadInput(f"--lens-px: {word!r} is neither a number nor auto") from None
     if not calibration:
-        return 0.1
+        return LENS_PX
     from_focal = [c["sigma"] / c["fx"] * max(c["size"]) / 2 for c in calibration["cameras"].values() if c.get("sigma")]
-    return max([calibration.get("good_to_px") or 0.1, *from_focal])
+    return max([calibration.get("good_to_px") or LENS_PX, *from_focal])
 
 
 def main(opt):
@@ -63,103 +67,114 @@ def main(opt):
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
-            import cv2  # noqa: F401, E401  where lib/ imports late
+            import cv2  # noqa: F401  where lib/ imports late
 
             from lib.core import artefact
-            from lib.given import cameras, image
             from lib.given import model as models
-            from lib.vision.recognition import hashing
+            from lib.vision import facets_file
             from lib.vision.recognition import recognise as recognition
             from lib.vision.refinement import pose as refinement
-            from lib.vision.refinement import rig
         with report.excluded("compile"):
             recognition.warm_up()
         with report.timing("read"):
             model = models.load(opt.model)
-            scene = hashing.read_facets(opt.facets)
-            sides = [
-                rig.Side(
-                    cameras.read_cameramodel(camera), image.read_photograph(photograph), image.read_labels(regions)
-                )
-                for camera, photograph, regions in (
-                    (opt.camera, opt.photograph, opt.regions),
-                    (opt.camera_right, opt.photograph_right, opt.regions_right),
-                )
-            ]
-        for side, names in zip(
-            sides,
-            ((opt.photograph, opt.regions, opt.camera), (opt.photograph_right, opt.regions_right, opt.camera_right)),
-        ):
-            for path, shape in zip(names, (side.photograph.values.shape, side.regions.shape)):
-                if shape[:2] != (side.camera.height, side.camera.width):
-                    raise stage.BadInput(
-                        f"{path}: size: {shape[1]} x {shape[0]} is not the camera's {side.camera.width} x {side.camera.height} ({names[2]})"
-                    )
+            scene = facets_file.read_scene(opt.facets)
+            sides = read_sides(opt)
+            calibration = artefact.read_json(opt.calibration) if opt.calibration else None
         if (scene.unit == "baseline") != bool(opt.orientation):
             raise stage.BadInput(
-                f"{opt.facets}: unit: {scene.unit!r}, but an orientation is {'given' if opt.orientation else 'missing'}: the cameras and the facets disagree about the scale"
+                f"{opt.facets}: unit: {scene.unit!r}, but an orientation is "
+                f"{'given' if opt.orientation else 'missing'}: the cameras and the facets disagree about the scale"
             )
+        lens_px = known_px(opt.lens_px, calibration)
 
         with report.timing("recognise"):
             found = recognition.recognise(scene, model, sides[0].camera)
         report["search"], report["evidence_nats"] = found.counts, [pose.score for pose in found.poses]
         if found.status == "not recognised":
             raise stage.BadInput(f"{opt.facets}: facets: {found.why}")
-        zero = [now - past for now, past in zip((time.process_time(), time.perf_counter()), report.clocks())]
+        zero = [
+            now - past for now, past in zip((time.process_time(), time.perf_counter()), report.clocks(), strict=True)
+        ]
         with report.timing("refine"):
-            result = refinement.refine(
-                model,
-                sides,
-                found,
-                scene.labels,
-                method=opt.method,
-                lens_px=known_px(opt.lens_px, artefact.read_json(opt.calibration) if opt.calibration else None),
-            )
+            result = refinement.refine(model, sides, found, scene.labels, method=opt.method, lens_px=lens_px)
         if result.status == "not recognised":
             raise stage.BadInput(
-                f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that pose's edges"
+                f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that "
+                "pose's edges"
             )
-        for step in result.trace:
-            report.trace(
-                **{k: v for k, v in step.items() if k != "rt_cam_world"}
-                | {"cpu_s": step["cpu_s"] - zero[0], "wall_s": step["wall_s"] - zero[1]}
-            )
-        report.error("edges", result.rms_px, unit="px", against="sub-pixel edges of the photographs")
-        if result.rms_px and result.rms_px > POOR_PX:
-            report.warning(
-                f"{opt.photograph}: the model's edges lie {result.rms_px:.2f} px rms from the photographs': lenses, relative pose or model are not exact, and the pose may be worse than its covariance says"
-            )
-        report["edges_found"], report["edges_found_by_chance"] = result.support, result.chance
-        if result.evidence < refinement.PROOF:
-            report.warning(
-                f"{opt.photograph}: only {100 * result.support:.0f} % of the edges that the model predicts are found: the pose is poor, or the model is not what is seen"
-            )
-        report.status = result.status
-        if result.status == "ambiguous":
-            least = "at least " if len(found.poses) > refinement.MOST else ""
-            report.warning(
-                f"{opt.model}: {least}{len(result.ambiguous)} other poses explain the facets as well: see ambiguous in {opt.pose}"
-            )
-        pair = [cameras.rt_from_matrix(camera.T_cam_world) for camera in result.cameras]
-        with artefact.writing_all(opt.posed, opt.posed_right, opt.pose) as partials:
-            for partial, camera in zip(partials, result.cameras):
-                cameras.write_cameramodel(partial, camera)
-            artefact.write_json(
-                partials[2],
-                {
-                    "status": result.status,
-                    "rt_cam_world": pair[0],
-                    "scale": result.scale if scene.unit == "baseline" else None,
-                    "covariance": result.covariance,
-                    "perturbation": "T = exp(omega, tau) T_hat, left camera's axes, rad and m",
-                    "matches": [
-                        {"left_label": int(scene.labels[i, 0]), "facet": int(f)}
-                        for i, f in found.poses[result.chosen].matches
-                    ],
-                    "trace": [{k: v for k, v in step.items() if k not in ("cpu_s", "wall_s")} for step in result.trace],
-                    "ambiguous": result.ambiguous,
-                },
-            )
+        tell(report, opt, found, result, zero)
+        write(opt, scene, found, result)
+
+
+def read_sides(opt):
+    """[Side, Side]: cameras, photographs and regions, their sizes checked against each other."""
+    from lib.given import cameras, image, view
+    from lib.vision.refinement import rig
+
+    left = opt.camera, opt.photograph, opt.regions
+    right = opt.camera_right, opt.photograph_right, opt.regions_right
+    sides = [
+        rig.Side(cameras.read_cameramodel(camera), image.read_photograph(photograph), image.read_labels(regions))
+        for camera, photograph, regions in (left, right)
+    ]
+    for (camera, photograph, regions), side in zip((left, right), sides, strict=True):
+        for path, values in ((photograph, side.photograph.values), (regions, side.regions)):
+            if problem := view.size_problem(path, values, side.camera, camera):
+                raise stage.BadInput(problem)
+    return sides
+
+
+def tell(report, opt, found, result, zero):
+    """Trace, errors, warnings and status. zero : [CPU s, wall s] of the process's clocks where the report's are 0"""
+    from lib.vision.refinement import pose as refinement
+
+    report.status = result.status
+    for step in result.trace:
+        point = {key: value for key, value in step.items() if key != "rt_cam_world"}
+        report.trace(**point | {"cpu_s": step["cpu_s"] - zero[0], "wall_s": step["wall_s"] - zero[1]})
+    report.error("edges", result.rms_px, unit="px", against="sub-pixel edges of the photographs")
+    report["edges_found"], report["edges_found_by_chance"] = result.support, result.chance
+    if result.rms_px and result.rms_px > POOR_PX:
+        report.warning(
+            f"{opt.photograph}: the model's edges lie {result.rms_px:.2f} px rms from the photographs': lenses, "
+            "relative pose or model are not exact, and the pose may be worse than its covariance says"
+        )
+    if result.evidence < refinement.PROOF:
+        report.warning(
+            f"{opt.photograph}: only {100 * result.support:.0f} % of the edges that the model predicts are found: the "
+            "pose is poor, or the model is not what is seen"
+        )
+    if result.status == "ambiguous":
+        least = "at least " if len(found.poses) > refinement.MOST else ""
+        report.warning(
+            f"{opt.model}: {least}{len(result.ambiguous)} other poses explain the facets as well: see ambiguous in "
+            f"{opt.pose}"
+        )
+
+
+def write(opt, scene, found, result):
+    """The posed cameras, and pose.json."""
+    from lib.core import artefact
+    from lib.given import cameras
+
+    clocks = ("cpu_s", "wall_s")
+    content = {
+        "status": result.status,
+        "rt_cam_world": cameras.rt_from_matrix(result.cameras[0].T_cam_world),
+        "scale": result.scale if scene.unit == "baseline" else None,
+        "covariance": result.covariance,
+        "perturbation": "T = exp(omega, tau) T_hat, left camera's axes, rad and m",
+        "matches": [
+            {"left_label": int(scene.labels[i, 0]), "facet": int(f)} for i, f in found.poses[result.chosen].matches
+        ],
+        "trace": [{key: value for key, value in step.items() if key not in clocks} for step in result.trace],
+        "ambiguous": result.ambiguous,
+    }
+    with artefact.writing_all(opt.posed, opt.posed_right, opt.pose) as (*posed, pose):
+        for path, camera in zip(posed, result.cameras, strict=True):
+            cameras.write_cameramodel(path, camera)
+        artefact.write_json(pose, content)
 
 
 if __name__ == "__main__":

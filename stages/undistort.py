@@ -18,8 +18,7 @@ from lib.core import stage
 
 
 def options():
-    parser = stage.parser(__doc__, reads="photograph lens_camera", writes="pinhole camera")
-    return parser
+    return stage.parser(__doc__, reads="photograph lens_camera", writes="pinhole camera")
 
 
 def main(opt):
@@ -32,15 +31,12 @@ def main(opt):
             import scipy.ndimage  # noqa: F401
 
             from lib.core import artefact
-            from lib.given import cameras, image, lenses
+            from lib.given import cameras, image, lenses, view
 
         photograph = image.read_photograph(opt.photograph)
         lens = lenses.read(opt.lens_camera)
-        height, width = photograph.values.shape[:2]
-        if (width, height) != (lens.width, lens.height):
-            raise stage.BadInput(
-                f"{opt.photograph}: size: {width} x {height} is not the camera's {lens.width} x {lens.height} ({opt.lens_camera})"
-            )
+        if problem := view.size_problem(opt.photograph, photograph.values, lens, opt.lens_camera):
+            raise stage.BadInput(problem)
         with report.timing("camera"):
             camera, share = lenses.pinhole(lens)
         with report.timing("resample"):
@@ -49,7 +45,8 @@ def main(opt):
         report["share_kept"] = share
         if share < 0.5:
             report.warning(
-                f"{opt.photograph}: the pinhole picture shows {100 * share:.0f} % of the photograph: {lens.model} sees too wide for more"
+                f"{opt.photograph}: the pinhole picture shows {100 * share:.0f} % of the photograph: {lens.model} sees "
+                "too wide for more"
             )
         with artefact.writing_all(opt.pinhole, opt.camera) as (pinhole, model):
             if photograph.linear:

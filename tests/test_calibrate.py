@@ -1,4 +1,4 @@
-"""§2 calibrate, undistort, orient: real boards against published values, rendered and simulated ones against truth, and the edges."""
+"""§2 calibrate, undistort, orient: real boards against published values, made ones against truth, and the edges."""
 
 import json
 import shutil
@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lib.core.stage import BadInput
-from lib.given import cameras, lenses, mrcal_runner
-from lib.vision import boards, calibration
+from lib.given import cameras, image, lenses, mrcal_runner
+from lib.vision import autocalibration, board_calibration, boards, calibration_answer, orientation
 from tests.helpers import chessboards
 
 needs_mrcal = pytest.mark.skipif(shutil.which(mrcal_runner.COMMAND) is None, reason="mrcal is not installed")
@@ -24,7 +24,17 @@ def solved(
     sizes=SIZES,
     distance=None,
 ):
-    return calibration.judge(calibration.solve(found, corners, square, sizes, lens, folder), distance)
+    return calibration_answer.judge(board_calibration.solve(found, corners, square, sizes, lens, folder), distance)
+
+
+def traced(report):
+    """The trace of a report, its clocks and counts checked as data/SCENE.md says."""
+    trace = report["trace"]
+    assert [point["iteration"] for point in trace] == list(range(len(trace)))
+    for clock in ("cpu_s", "wall_s"):
+        times = [point[clock] for point in trace]
+        assert sorted(times) == times and times[0] > 0 and times[-1] <= report[clock]
+    return trace
 
 
 def degrees_between(rt_a, rt_b):
@@ -37,7 +47,7 @@ def degrees_between(rt_a, rt_b):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_corners_of_rendered_boards(seed):
-    """Squares of 9 to 45 px, tilted, through a distorting lens: 0.03 px RMS, and the same corner first in both pictures."""
+    """Squares of 9 to 45 px, tilted, through a distorting lens: 0.04 px RMS, the same corner first in both pictures."""
     random = np.random.default_rng(seed)
     left, right = chessboards.lens("left"), chessboards.lens("right")
     many = chessboards.poses(
@@ -58,7 +68,8 @@ def test_corners_of_rendered_boards(seed):
 
 @pytest.mark.parametrize("corners", [(9, 6), (7, 7), (8, 6)])
 def test_one_corner_has_one_place_in_both_pictures(corners):
-    """However each picture is numbered. 9 x 6 is told by its colours; 7 x 7 and 8 x 6 look the same after a turn: by the direction."""
+    """However each picture is numbered. The colours tell 9 x 6. 7 x 7 and 8 x 6 look the same after a turn: the
+    direction tells them."""
     random = np.random.default_rng(3)
     left, right = chessboards.lens("left"), chessboards.lens("right")
     T = cameras.matrix_from_rt([0.3, -0.2, 0.3, 0.08, -0.02, 0.8])
@@ -69,9 +80,10 @@ def test_one_corner_has_one_place_in_both_pictures(corners):
 
 
 def test_the_window_stays_within_the_squares(root):
-    """The published 0.39 px RMS comes from corner windows of 23 px, wider than the 22 px squares of view left02: its corners are a pixel off.
+    """The published 0.39 px RMS comes from corner windows of 23 px, wider than the 22 px squares of view left02.
 
-    Windows of the squares' own size leave 0.2 px there, and everywhere."""
+    Its corners are then a pixel off. Windows of the squares' own size leave 0.2 px there, and everywhere.
+    """
     import cv2
 
     paths = sorted((root / "data/opencv-stereo13/boards").glob("left-*.png"))
@@ -169,7 +181,10 @@ def calibrate(folder, out, board, *more):
 
 @needs_mrcal
 def test_thirteen_real_pairs(root, run, tmp_path):
-    """Focal length within 1 % of the published 535.9 px, left residuals at most 0.25 px, baseline 83.2 mm within 1 %; about 3 s on two idle cores."""
+    """Focal length within 1 % of the published 535.9 px, left residuals at most 0.25 px, baseline 83.2 mm within 1 %.
+
+    About 3 s on two idle cores.
+    """
     result = run(*calibrate(root / "data/opencv-stereo13/boards", tmp_path, {"corners": [9, 6], "square_m": 0.025}))
     assert result.returncode == 0, result.stderr
     answer = json.loads((tmp_path / "calibration.json").read_text())
@@ -192,6 +207,9 @@ def test_thirteen_real_pairs(root, run, tmp_path):
     assert report["cpu_s"] < 12 and {"uncertainty_left", "cross_validation_left", "baseline_sigma"} <= {
         e["name"] for e in report["errors"]
     }
+    trace = traced(report)
+    assert [point["step"] for point in trace] == ["initial solve: geometry only", "final, full optimization"]
+    assert trace[0]["rms_px"] > 2 * trace[1]["rms_px"] and 0.05 < trace[1]["rms_px"] < 0.25
     for side in ("left", "right"):
         text = (tmp_path / f"{side}.cameramodel").read_text()
         assert (
@@ -218,8 +236,11 @@ def test_thirteen_real_pairs(root, run, tmp_path):
 
 @needs_mrcal
 def test_real_fisheye(root, tmp_path):
-    """Every ninth view of mrcal's own corners (6016x4016, 100 corners each): its focal length within 0.5 %, its residuals (0.468 px RMS
-    by coordinate, so 0.66 by point) within 20 %. One camera only: taken for both, it stands at one place, and the verdict says so."""
+    """Every ninth view of mrcal's own corners (6016x4016, 100 corners each): its focal length within 0.5 %.
+
+    Its residuals (0.468 px RMS by coordinate, so 0.66 by point) within 20 %. There is one camera only: taken for both,
+    it stands at one place, and the verdict says so.
+    """
     with np.load(root / "data/calib-mrcal-boards/figueroa_board_observations.npz") as file:
         observations, intrinsics = file["observations_board"][::9], file["intrinsics_opencv8"]
         size, spacing = tuple(map(int, file["imagersize"])), float(file["spacing"])
@@ -242,7 +263,7 @@ def test_real_fisheye(root, tmp_path):
 
 @needs_mrcal
 def test_rendered_boards(root, run, tmp_path):
-    """office-stereo, photographs of boards by another renderer: lenses and pose against truth, at their own sigma, in 0.1 px."""
+    """office-stereo, boards by another renderer: lenses and pose against truth, at their own sigma, in 0.1 px."""
     scene = root / "data/office-stereo"
     board = next(line for line in (scene / "scene.yaml").read_text().splitlines() if line.startswith("board"))
     import yaml
@@ -263,7 +284,7 @@ def test_rendered_boards(root, run, tmp_path):
     truth = [lenses.read(scene / f"truth/{side}.cameramodel") for side in boards.SIDES]
     found = [lenses.read(tmp_path / f"{side}.cameramodel") for side in boards.SIDES]
     assert answer["distance_of"] == "scene" and 2 < answer["distance_m"] < 6 and answer["good_to_px"] < 0.1
-    for true, ours, camera in zip(truth, found, answer["cameras"].values()):
+    for true, ours, camera in zip(truth, found, answer["cameras"].values(), strict=True):
         assert 0.005 < camera["rms"] < 0.06
         q = np.stack(np.meshgrid(np.linspace(64, 575, 9), np.linspace(48, 431, 7)), -1).reshape(-1, 2)
         assert 1e-4 < np.sqrt((_after_best_motion(true, ours, q, answer["distance_m"]) ** 2).sum(-1).mean()) < 0.06
@@ -276,13 +297,13 @@ def test_rendered_boards(root, run, tmp_path):
 
 @needs_mrcal
 def test_sigmas_hold(tmp_path):
-    """Calibrations of one rig from other boards and noise: the baseline is off by its sigma, and so is the projection."""
+    """Calibrations of one rig from other boards and noise: baseline and projection are off by their sigmas."""
     left, right = chessboards.lens("left"), chessboards.lens("right")
     z, ratio = [], []
     for seed in range(5):
         random = np.random.default_rng(seed)
         found = chessboards.seen(chessboards.poses(16, random), left, right, random)
-        solution = calibration.solve(
+        solution = board_calibration.solve(
             found,
             chessboards.CORNERS,
             chessboards.SQUARE,
@@ -291,12 +312,12 @@ def test_sigmas_hold(tmp_path):
             tmp_path / str(seed),
             halves=False,
         )
-        answer = calibration.judge(solution, 0.9)
+        answer = calibration_answer.judge(solution, 0.9)
         z.append(
             (answer["pair"]["baseline_m"] - np.linalg.norm(chessboards.RT_RIGHT_LEFT[3:]))
             / answer["pair"]["baseline_sigma_m"]
         )
-        for truth, path, name in zip((left, right), solution.models, boards.SIDES):
+        for truth, path, name in zip((left, right), solution.models, boards.SIDES, strict=True):
             ours, entry = lenses.read(path), answer["cameras"][name]["uncertainty"]
             q = np.stack(np.meshgrid(entry["columns_px"], entry["rows_px"]), -1).reshape(-1, 2)
             middle = (np.abs(q / [639, 479] - 0.5) < 0.4).all(-1)
@@ -309,7 +330,7 @@ def test_sigmas_hold(tmp_path):
 
 
 def _after_best_motion(truth, ours, q, distance):
-    """(N, 2) px by which `ours` projects differently what it sees at q at `distance`: the camera's own frame is free."""
+    """(N, 2) px by which `ours` projects otherwise what it sees at q at `distance`: the camera's own frame is free."""
     from scipy.optimize import least_squares
 
     v = ours.unproject(q)
@@ -324,18 +345,24 @@ def _after_best_motion(truth, ours, q, distance):
 
 @needs_mrcal
 def test_parallel_boards_leave_the_focal_length_open(tmp_path):
-    """Fronto-parallel boards at several distances: small residuals, and a focal length that is wrong by any amount. The verdict says so."""
+    """Fronto-parallel boards at several distances: small residuals, and a focal length that is wrong by any amount.
+
+    The verdict says so.
+    """
     random = np.random.default_rng(1)
     T = [cameras.matrix_from_rt([0, 0, 0, *random.uniform(-0.2, 0.2, 2), random.uniform(0.6, 1.2)]) for _ in range(16)]
     answer = solved(chessboards.seen(T, chessboards.lens("left"), chessboards.lens("right"), random), tmp_path)
     assert answer["cameras"]["left"]["rms"] < 0.2
-    assert answer["good_to_px"] is None or answer["good_to_px"] > calibration.FAIR
+    assert answer["good_to_px"] is None or answer["good_to_px"] > calibration_answer.FAIR
     assert answer["verdict"].startswith(("poor", "unknown")) and "too few tilted boards" in answer["verdict"]
 
 
 @needs_mrcal
 def test_a_lens_model_that_cannot_follow_the_lens(tmp_path):
-    """A pinhole fitted to a barrel: half the boards agree with the other half, and both are wrong. Neighbouring residuals are alike: said."""
+    """A pinhole fitted to a barrel: half the boards agree with the other half, and both are wrong.
+
+    The verdict says so, for neighbouring residuals are alike.
+    """
     random = np.random.default_rng(6)
     answer = solved(
         chessboards.seen(chessboards.poses(16, random), chessboards.lens("left"), chessboards.lens("right"), random),
@@ -365,7 +392,7 @@ def test_few_boards(tmp_path):
 
 @needs_mrcal
 def test_boards_that_one_camera_misses(tmp_path):
-    """They still tell that camera's lens. Where no shot shows the board to both, the relative pose is unknown: refused."""
+    """They still tell the other camera's lens. Where no shot shows the board to both, the relative pose is unknown."""
     random = np.random.default_rng(2)
     left, right = chessboards.lens("left"), chessboards.lens("right")
     found = chessboards.seen(chessboards.poses(16, random, reach=0.4, tilt=0.35), left, right, random, whole=False)
@@ -453,7 +480,8 @@ def made(model, parameters=None, path="test", K=K, size=(640, 480)):
 def write(path, lens):
     numbers = lambda values: ", ".join(repr(float(v)) for v in values)
     path.write_text(
-        f"{{'lensmodel': '{lens.model}', 'intrinsics': [{numbers(lens.intrinsics)}], 'extrinsics': [0.1,0.2,0.3,1,2,3], 'imagersize': [{lens.width}, {lens.height}]}}\n"
+        f"{{'lensmodel': '{lens.model}', 'intrinsics': [{numbers(lens.intrinsics)}], "
+        f"'extrinsics': [0.1,0.2,0.3,1,2,3], 'imagersize': [{lens.width}, {lens.height}]}}\n"
     )
     return path
 
@@ -537,7 +565,7 @@ def test_no_pixel_is_without_data(parameters, grows):
 
 
 def test_pinhole_of_a_fold():
-    """A lens whose formula turns back within the picture: what lies beyond would show the picture twice, so f grows instead."""
+    """A lens whose formula turns back within the picture: beyond, the picture would show twice, so f grows instead."""
     lens = made("LENSMODEL_OPENCV4", [-0.9, 0, 0, 0], K=[320.0, 320.0, 319.5, 239.5])
     camera, _ = lenses.pinhole(lens)
     q = lens.project(camera.directions(camera.pixels()))
@@ -554,9 +582,7 @@ def test_fisheye_is_cropped():
 
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
 def test_undistorted_is_what_a_pinhole_sees(run, tmp_path, suffix):
-    """A board rendered through the lens, undistorted, against the same rendered through the pinhole. EXR: light, above 1 too."""
-    from lib.given import image
-
+    """A board rendered through the lens, undistorted, against one rendered through the pinhole. EXR: light above 1."""
     random = np.random.default_rng(0)
     lens = made("LENSMODEL_OPENCV8", path="a")
     T = cameras.matrix_from_rt([0.4, 0.5, 0.1, 0, 0, 0.45])
@@ -605,17 +631,21 @@ def test_undistort_refuses(refuses, root, tmp_path):
     small = write(tmp_path / "small.cameramodel", made("LENSMODEL_OPENCV4", size=(320, 240)))
     lines = refuses(*base, small)
     assert len(lines) == 1 and "640 x 480" in lines[0] and "320 x 240" in lines[0]
+    model_text = lambda lens, intrinsics: (
+        f"{{'lensmodel': 'LENSMODEL_{lens}', 'intrinsics': [{intrinsics}], "
+        "'extrinsics': [0,0,0,0,0,0], 'imagersize': [640,480]}"
+    )
     for text, words in [
         (
-            "{'lensmodel': 'LENSMODEL_OPENCV4', 'intrinsics': [1,2,3], 'extrinsics': [0,0,0,0,0,0], 'imagersize': [640,480]}",
+            model_text("OPENCV4", "1,2,3"),
             "intrinsics",
         ),
         (
-            "{'lensmodel': 'LENSMODEL_FROG', 'intrinsics': [1,2,3,4], 'extrinsics': [0,0,0,0,0,0], 'imagersize': [640,480]}",
+            model_text("FROG", "1,2,3,4"),
             "LENSMODEL_FROG",
         ),
         (
-            "{'lensmodel': 'LENSMODEL_OPENCV4', 'intrinsics': [1,2,3,4,5,6,7,1e999], 'extrinsics': [0,0,0,0,0,0], 'imagersize': [640,480]}",
+            model_text("OPENCV4", "1,2,3,4,5,6,7,1e999"),
             "inf",
         ),
         ("nonsense(", "not a camera model"),
@@ -663,9 +693,7 @@ def off(pose, rt):
 
 
 def test_relative_pose():
-    """A fifth of the matches wrong: found to its own sigma, which is small; |t| = 1 and the covariance has the five dimensions."""
-    from lib.vision import orientation
-
+    """A fifth of the matches wrong: found to its own sigma, which is small. |t| = 1; the covariance has rank 5."""
     z = []
     for seed in range(10):
         pose = orientation.relative_pose(PAIR, PAIR, *features(np.random.default_rng(seed), RT))
@@ -678,9 +706,7 @@ def test_relative_pose():
 
 
 def test_baseline_towards_zero():
-    """The direction's sigma grows as the baseline shrinks; then the pair is refused: without parallax there is nothing to find."""
-    from lib.vision import orientation
-
+    """The direction's sigma grows as the baseline shrinks. At last the pair is refused, for lack of parallax."""
     sigma = []
     for baseline in (1.0, 0.3, 0.1):
         rt = np.concatenate([RT[:3], baseline * RT[3:]])
@@ -696,16 +722,12 @@ def test_baseline_towards_zero():
 
 @pytest.mark.parametrize("n, wrong", [(0, 0), (10, 0), (60, 1.0)])
 def test_too_few_matches(n, wrong):
-    from lib.vision import orientation
-
     with pytest.raises(BadInput, match="matches"):
         orientation.relative_pose(PAIR, PAIR, *features(np.random.default_rng(0), RT, n=max(n, 1), wrong=wrong))
 
 
 def test_one_plane():
     """A plane has two explanations. One of the two that are given is the truth."""
-    from lib.vision import orientation
-
     for seed in range(4):
         pose = orientation.relative_pose(
             PAIR,
@@ -718,7 +740,7 @@ def test_one_plane():
 
 
 def test_real_pair(root, run, refuses, tmp_path):
-    """Photographs, undistorted and oriented, against the pose that the thirteen boards tell (this project's own calibration)."""
+    """Photographs, undistorted and oriented, against the pose that the thirteen boards tell (our own calibration)."""
     left = lenses.Lens(
         "LENSMODEL_OPENCV5",
         np.array([533.8, 533.9, 341.9, 235.0, -0.281, 0.075, 0.0011, -0.0002, 0.02]),
@@ -764,6 +786,8 @@ def test_real_pair(root, run, refuses, tmp_path):
         tmp_path / "ro.cameramodel",
         "--orientation",
         tmp_path / "orientation.json",
+        "--report",
+        tmp_path / "orient.report.json",
     ]
     lines = refuses(*orient("left"))  # the same photograph twice
     assert len(lines) == 1 and "without parallax" in lines[0] and not (tmp_path / "orientation.json").exists()
@@ -771,6 +795,9 @@ def test_real_pair(root, run, refuses, tmp_path):
     assert result.returncode == 0, result.stderr
     answer = json.loads((tmp_path / "orientation.json").read_text())
     assert answer["unit"] == "baseline" and answer["inliers"] <= answer["matches"] and answer["rms_px"] < 1
+    trace = traced(json.loads((tmp_path / "orient.report.json").read_text()))
+    assert len(trace) > 3 and trace[-1]["rms_px"] == answer["rms_px"] and trace[-1]["inliers"] == answer["inliers"]
+    assert trace[0]["inliers"] >= trace[-1]["inliers"] and trace[0]["rms_px"] > trace[-1]["rms_px"]
     rt = np.array(answer["rt_right_left"])
     assert np.linalg.norm(rt[:3]) < np.radians(1.0) and np.degrees(np.arccos(-rt[3])) < 3
     right = cameras.read_cameramodel(tmp_path / "ro.cameramodel")
@@ -785,8 +812,6 @@ def test_real_pair(root, run, refuses, tmp_path):
 @pytest.mark.parametrize("scene", ["office", "office-1", "office-2", "office-3", "cornell"])
 def test_focal_length_from_right_angles(root, scene):
     """A room's right angles tell the focal length of a single photograph, to its own sigma."""
-    from lib.vision import autocalibration
-
     camera = cameras.read_cameramodel(root / f"data/{scene}/left.posed.cameramodel")
     grey = boards.grey8(root / f"data/{scene}/left.png")
     found = autocalibration.vanishing(autocalibration.segments(grey), grey.shape[::-1], np.random.default_rng(0))
@@ -801,8 +826,6 @@ def test_focal_length_from_right_angles(root, scene):
 @pytest.mark.parametrize("side", boards.SIDES)
 def test_focal_length_from_a_raw_photograph(root, side):
     """office-stereo as its distorting lens took it: f to its own sigma, and a barrel that is seen to be one."""
-    from lib.vision import autocalibration
-
     true = lenses.read(root / f"data/office-stereo/truth/{side}.cameramodel")
     grey = boards.grey8(root / f"data/office-stereo/{side}.png")
     log_f, sigma, k1, _ = autocalibration.vanishing(
@@ -813,9 +836,6 @@ def test_focal_length_from_a_raw_photograph(root, side):
 
 def test_bent_edges_tell_the_distortion(root):
     """The office through a barrel: the focal length is still found, and so is k1."""
-    from lib.given import image
-    from lib.vision import autocalibration
-
     camera = cameras.read_cameramodel(root / "data/office/left.posed.cameramodel")
     f = camera.K[0, 0]
     bent = lenses.Lens(
@@ -836,8 +856,6 @@ def test_bent_edges_tell_the_distortion(root):
 
 def test_epipolar_focal_length_and_where_it_is_blind():
     """A general motion tells f; axes that meet at equal distances do not (Sturm 1999), and the sigma knows."""
-    from lib.vision import autocalibration
-
     random = np.random.default_rng(0)
     general = np.array([0.25, 0.1, 0.3, -0.6, 0.5, 0.6])
     found = autocalibration.epipolar((640, 480), *features(random, general, n=300, noise=0.2, wrong=0.1), random)
@@ -868,6 +886,10 @@ def lenses_of_pair(run, folder, left, right):
 def test_lenses_of_a_pair(root, run, tmp_path):
     answer, models, _ = lenses_of_pair(run, tmp_path, root / "data/office/left.png", root / "data/office/left.png")
     assert answer["unit"] == "baseline" and answer["pair"] is None and "right angles" in answer["verdict"]
+    trace = [p for p in traced(json.loads((tmp_path / "r.json").read_text())) if p["step"] == "right angles"]
+    for side in boards.SIDES:
+        rms = [point["rms_px"] for point in trace if point["side"] == side]
+        assert len(rms) > 3 and 0 < rms[-1] < 1
     left = answer["cameras"]["left"]
     assert (
         abs(left["fx"] - 400) < 3 * left["sigma"]
@@ -879,8 +901,6 @@ def test_lenses_of_a_pair(root, run, tmp_path):
 
 def test_nothing_tells_the_lens(run, tmp_path):
     """Noise: a default is assumed, and called so; never a guess passed off as a finding."""
-    from lib.given import image
-
     random = np.random.default_rng(0)
     for side in ("left", "right"):
         image.write_png8(tmp_path / f"{side}.png", random.integers(0, 256, (240, 320), dtype=np.uint8))

@@ -137,7 +137,7 @@ def test_colmap_sees_the_same_point_half_a_pixel_on():
 
 
 def test_clip_coordinates():
-    """ndc -1 and 1 are the outer edges of the first and last pixel; rows are ours; z runs from -1 at the near plane to 1."""
+    """ndc -1 and 1 are the outer edges of the first and last pixel. Rows are ours. z is -1 at the near plane."""
     M = frames.clip_from_camera(K, 640, 480)
     for q, ndc in (((-0.5, -0.5), (-1, -1)), ((639.5, 479.5), (1, 1)), ((319.5, 239.5), (0, 0))):
         p = 7 * np.linalg.inv(K) @ [*q, 1]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from lib.core import packages
 from lib.buffers.viewport import TIE
+from lib.core import packages
 
 
 def caster(view):

@@ -1,1 +1,1 @@
-"""What is given, read and checked: images, cameras and lenses, the model, the transfer function, materials; and rays through it."""
+"""What is given, read and checked: images, cameras, lenses, the model, the transfer function, materials; and rays."""

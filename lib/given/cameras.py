@@ -36,7 +36,10 @@ class Camera:
         return -self.T_cam_world[:3, :3].T @ self.T_cam_world[:3, 3]
 
     def points(self, p_world):
-        """(N, 3) m, world -> (N, 3) m, camera. The centre is subtracted first: far from the origin nothing cancels later."""
+        """(N, 3) m, world -> (N, 3) m, camera.
+
+        The centre is subtracted first, so that far from the origin nothing cancels later.
+        """
         return (np.asarray(p_world, float) - self.centre) @ self.T_cam_world[:3, :3].T
 
     def project(self, p_world):
@@ -113,7 +116,8 @@ def _numbers(path, content, key, count):
 def parse(path, count_of):
     """(lens, intrinsics (n,), (4, 4) reference to camera, width, height) of a .cameramodel file, checked.
 
-    count_of : lens -> how many intrinsics it has, or None for any number; raises BadInput for a lens that the caller does not take
+    count_of : lens -> how many intrinsics it has, or None for any number. It raises BadInput for a lens that the caller
+    does not take.
     """
     try:
         with open(path, encoding="utf-8") as file:
@@ -132,10 +136,10 @@ def parse(path, count_of):
     size = _numbers(path, content, "imagersize", 2)
     # mrcal calls this rt_fromref, later rt_cam_ref: reference to camera
     rt = _numbers(path, content, "extrinsics" if "extrinsics" in content else "rt_cam_ref", 6)
-    for name, focal in zip(("fx", "fy"), intrinsics):
+    for name, focal in zip(("fx", "fy"), intrinsics[:2], strict=True):
         if focal <= 0:
             raise BadInput(f"{path}: intrinsics: {name} = {focal:g} is not positive")
-    for name, length in zip(("width", "height"), size):
+    for name, length in zip(("width", "height"), size, strict=True):
         if length < 1 or length != int(length):
             raise BadInput(f"{path}: imagersize: {name} = {length:g} is not a whole positive number")
     return lens, intrinsics, matrix_from_rt(rt), int(size[0]), int(size[1])
@@ -159,7 +163,7 @@ def read_cameramodel(path) -> Camera:
 
 
 def write_cameramodel(path, camera):
-    """Write a pinhole camera as mrcal would; numbers survive the round trip to the last bit of K and 1e-15 of the pose."""
+    """Write a pinhole camera as mrcal would. The round trip keeps K to the last bit, and the pose to 1e-15."""
     if camera.K[0, 1] != 0:
         raise ValueError(f"skew {camera.K[0, 1]} has no place in LENSMODEL_PINHOLE")
     row = lambda values: " ".join(f"{value!r}," for value in values)

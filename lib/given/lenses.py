@@ -6,8 +6,9 @@
     camera = lenses.pinhole(lens)           # the pinhole in which no pixel is without data
     values = lenses.resample(photograph.values, lens, camera)
 
-Pinhole, stereographic and OpenCV's lenses are computed here; any other (splined, CAHVOR) is asked of mrcal, in a process of
-its own. Formulas: https://mrcal.secretsauce.net/lensmodels.html, OpenCV's calib3d (k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4).
+Pinhole, stereographic and OpenCV's lenses are computed here. mrcal computes any other (splined, CAHVOR), in a process
+of its own. Formulas: https://mrcal.secretsauce.net/lensmodels.html, OpenCV's calib3d (k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3
+s4).
 """
 
 import math
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given import cameras
+from lib.given import cameras, mrcal_runner
 
 COUNTS = {
     "LENSMODEL_PINHOLE": 4,
@@ -79,8 +80,10 @@ class Lens:
         return x * self.intrinsics[:2] + self.intrinsics[2:4]
 
     def unproject(self, q):
-        """(..., 2) px -> (..., 3) camera frame: z = 1, or of length 1 where the lens may look sideways. nan where no ray of the
-        lens's own branch (the one around its axis, before its formula folds back) comes to q."""
+        """(..., 2) px -> (..., 3) camera frame: z = 1, or of length 1 where the lens may look sideways.
+
+        nan where no ray of the lens's own branch comes to q: the branch around its axis, before its formula folds back.
+        """
         q = np.asarray(q, float)
         if self.model not in OWN:
             return self._mrcal("unproject", q, 3)
@@ -93,8 +96,11 @@ class Lens:
         return np.concatenate([x, np.where(np.isfinite(x[..., :1]), 1.0, np.nan)], -1)
 
     def unfolded(self, x, samples=32):
-        """(..., 2) tangents -> (...) bool: from the axis to x the formula has not turned back. Beyond its turn a polynomial maps rays
-        from outside into the picture, which would then show things twice. The lenses without a polynomial here do not turn back."""
+        """(..., 2) tangents -> (...) bool: from the axis to x the formula has not turned back.
+
+        Beyond its turn a polynomial maps rays from outside into the picture, which would then show things twice. Lenses
+        without a polynomial do not turn back.
+        """
         if self.model not in OWN or len(self.intrinsics) == 4:
             return np.ones(np.shape(x)[:-1], bool)
         straight = np.ones(np.shape(x)[:-1], bool)
@@ -103,8 +109,6 @@ class Lens:
         return straight
 
     def _mrcal(self, verb, given, width):
-        from lib.given import mrcal_runner
-
         mrcal_runner.require_mrcal(f"{self.path}: lensmodel: {self.model}")
         with tempfile.TemporaryDirectory(prefix="lens-") as folder:
             source, target = Path(folder) / "given.npy", Path(folder) / "answer.npy"
@@ -114,7 +118,10 @@ class Lens:
 
 
 def _distort(x, k):
-    """(..., 2) -> the same, distorted, and its Jacobian (..., 2, 2). OpenCV's rational model with tangential and thin prism terms."""
+    """(..., 2) tangents -> the same, distorted, and the Jacobian (..., 2, 2).
+
+    OpenCV's rational model with tangential and thin prism terms. k : up to 12 coefficients
+    """
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.concatenate([k, np.zeros(12 - len(k))])
     u, v = x[..., 0], x[..., 1]
     r = u * u + v * v
@@ -142,8 +149,11 @@ def _rising(J):
 
 
 def _undistort(y, k, steps=12):
-    """The x whose distortion is y, by Newton along the line from the axis to y: each step starts from the one before, so that
-    the branch around the axis is the one that is followed; nan where it folds (a Jacobian that is not positive) first."""
+    """The x (..., 2) whose distortion is y, by Newton along the line from the axis to y.
+
+    Each step starts from the one before, so that the branch around the axis is followed. nan where it folds first, that
+    is, where the Jacobian is not positive.
+    """
     x, lost = np.zeros_like(y), np.zeros(y.shape[:-1], bool)
     for share in [*np.arange(1, steps + 1) / steps, 1.0, 1.0]:
         for _ in range(3):
@@ -191,13 +201,15 @@ def read(path) -> Lens:
 def pinhole(lens):
     """(cameras.Camera, share of the photograph's area that its picture shows): the pinhole of the same size and pose.
 
-    fx, fy, cx, cy are the lens's own where every pixel then lies inside the photograph, on the lens's own branch; else fx and fy grow together, as
-    little as need be. A lens that sees more (barrel, fisheye) loses what lies outside: a pinhole cannot hold it at this focal length.
+    fx, fy, cx, cy are the lens's own if every pixel then lies inside the photograph, on the lens's own branch. If not,
+    fx and fy grow together, as little as need be. A lens that sees more (barrel, fisheye) loses what lies outside, for
+    a pinhole cannot hold it at this focal length.
     BadInput where no focal length does: the axis (cx, cy) points past the picture, or the lens folds back at once.
     """
     if not (0 < lens.intrinsics[2] < lens.width - 1 and 0 < lens.intrinsics[3] < lens.height - 1):
         raise BadInput(
-            f"{lens.path}: intrinsics: cx, cy = {lens.intrinsics[2]:g}, {lens.intrinsics[3]:g} lies outside the picture of {lens.width} x {lens.height}: no pinhole looks there"
+            f"{lens.path}: intrinsics: cx, cy = {lens.intrinsics[2]:g}, {lens.intrinsics[3]:g} lies outside the "
+            f"picture of {lens.width} x {lens.height}: no pinhole looks there"
         )
     border = _border(lens.width, lens.height)
     size = np.array([lens.width - 1, lens.height - 1])
@@ -219,7 +231,8 @@ def pinhole(lens):
             low, high = high, 2 * high
             if high > 1e3:
                 raise BadInput(
-                    f"{lens.path}: intrinsics: the lens folds back so near to its axis that no pinhole holds its picture"
+                    f"{lens.path}: intrinsics: the lens folds back so near to its axis that no pinhole holds its "
+                    "picture"
                 )
         while high / low - 1 > 1e-6:
             middle = math.sqrt(low * high)
@@ -245,7 +258,10 @@ def _border(width, height, step=1.0):
 
 
 def source(lens, camera):
-    """(height, width, 2) px of the photograph, for every pixel of the pinhole picture; inside it to 1e-6 px, then clamped."""
+    """(height, width, 2) px of the photograph, for every pixel of the pinhole picture, clamped to the photograph.
+
+    BadInput: a pixel that lies outside it by more than 1e-3 px
+    """
     q = lens.project(camera.directions(camera.pixels()))
     size = np.array([lens.width - 1, lens.height - 1], float)
     if not (np.isfinite(q).all() and (q >= -1e-3).all() and (q <= size + 1e-3).all()):

@@ -1,4 +1,4 @@
-"""What is asked of mrcal's Python functions. Runs under mrcal's own interpreter, never under ours (NumPy 1 there, 2 here).
+"""What is asked of mrcal's Python functions. Runs under mrcal's own interpreter, never ours: NumPy 1 there, 2 here.
 
     $ /usr/bin/python3 lib/given/mrcal_process.py judge  request.json answer.json
     $ /usr/bin/python3 lib/given/mrcal_process.py project   some.cameramodel points.npy pixels.npy
@@ -39,7 +39,7 @@ def views(model, side):
     rows, columns = boards.shape[1:3]
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2, 0]) * spacing
     found = []
-    for observation, (frame, camera, extrinsic) in zip(range(len(boards)), indices):
+    for observation, (frame, camera, extrinsic) in zip(range(len(boards)), indices, strict=True):
         if camera != side:
             continue
         weight = boards[observation, ..., 2]
@@ -54,7 +54,7 @@ def views(model, side):
                 "path": inputs["imagepaths"][observation],
                 "rms_px": float(np.sqrt((error**2).sum(-1).mean())) if used.any() else None,
                 "corners": int(used.sum()),
-                "outliers": [[int(y), int(x)] for y, x in zip(*np.nonzero(~used))],
+                "outliers": [[int(y), int(x)] for y, x in zip(*np.nonzero(~used), strict=True)],
                 "distance_m": float(np.linalg.norm(p)),
                 "normal": listed(normal),
                 "residuals_px": listed(residuals[observation]),

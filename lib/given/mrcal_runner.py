@@ -1,4 +1,8 @@
-"""mrcal at arm's length: Debian's mrcal cannot be imported beside NumPy 2, so its own interpreter runs mrcal_process.py."""
+"""mrcal at arm's length: Debian's cannot be imported beside NumPy 2, so its own interpreter runs it.
+
+process("judge", "request.json", "answer.json")         # mrcal_process.py, for mrcal's Python functions
+run([COMMAND, ...], folder)                             # one of mrcal's own commands
+"""
 
 import os
 import shutil
@@ -11,6 +15,7 @@ COMMAND = "mrcal-calibrate-cameras"
 
 
 def require_mrcal(what="calibration from boards"):
+    """BadInput where mrcal is not installed. what : what needs it, for the message"""
     if shutil.which(COMMAND) is None:
         raise BadInput(f"mrcal: not installed, and {what} needs it: apt-get install mrcal python3-mrcal")
 
@@ -32,13 +37,44 @@ def process(*arguments):
         raise RuntimeError(f"mrcal: {last_line(run.stderr)}")
 
 
+def run(argv, folder, told=None):
+    """What one of mrcal's commands writes to stderr, run in a folder. RuntimeError with its last line where it fails.
+
+    told : called with each line as it comes, and with the CPU time of the process until then, s
+    """
+    lines = []
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(argv, cwd=folder, env=environment(), **streams) as child:
+        for line in child.stderr:
+            lines.append(line)
+            if told:
+                told(line.strip(), cpu_s(child.pid))
+    said = "".join(lines)
+    if child.returncode:
+        raise RuntimeError(last_line(said))
+    return said
+
+
+def cpu_s(pid):
+    """CPU time of a process that runs or was not yet waited for, s, from /proc; 0 where that cannot be read."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
 def environment():
-    """Without our virtual environment's packages, which belong to another interpreter."""
+    """Ours without our virtual environment's packages, which belong to another interpreter; one thread for BLAS."""
     return {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")} | {
         "OMP_NUM_THREADS": "1"
     }
 
 
 def last_line(text):
+    """
+    >>> last_line("Traceback:\\n  ...\\nValueError: no corners\\n")
+    'ValueError: no corners'
+    """
     lines = [line.strip() for line in text.strip().splitlines()] or ["no message"]
     return lines[-1]

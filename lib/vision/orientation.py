@@ -4,8 +4,9 @@
     pose = relative_pose(camera_left, camera_right, q_left, q_right)
     pose.rt_right_left, pose.covariance                         # |t| = 1
 
-Features are OpenCV's SIFT, the robust estimation and its refinement are pycolmap's (LO-RANSAC, tangent Sampson error). What is
-ours is what can be said about the answer: its covariance, and whether the pair tells it at all (no parallax, one plane only).
+Features are OpenCV's SIFT, the robust estimate is pycolmap's (LO-RANSAC, tangent Sampson error). Ours is the refinement
+by a loss that forgives long tails, and what can be said about the answer: its covariance, and whether the pair tells it
+at all (no parallax, one plane only).
 """
 
 from dataclasses import dataclass
@@ -18,11 +19,14 @@ from lib.given import cameras, frames
 LEAST = 15  # inliers; five determine the pose, the rest have to confirm it
 STILL = 0.6  # share of the matches that a rotation alone may explain: some of the others agree with any pose by chance
 MAX_ERROR = 2.0  # px, of an inlier: Sampson's distance
+STEP = 1e-6  # of the numerical derivatives
 
 
 @dataclass(frozen=True, eq=False)
 class RelativePose:
-    """rt_right_left : (6,) Rodrigues, translation of length 1
+    """Where the right camera stands, in units of the baseline.
+
+    rt_right_left : (6,) Rodrigues, translation of length 1
     covariance : (6, 6), rank 5, of (w, dt): R = exp(w) R_found, t = t_found + dt, dt normal to t
     inlier : (N,) bool; rms_px : of the inliers' Sampson distance; parallax_px : RMS of what no rotation alone explains
     planar : one homography explains the inliers as well; other : (6,) the second pose that then explains them, or None
@@ -43,10 +47,11 @@ class RelativePose:
 
 
 def features(grey):
-    """[(N, 2) px, (N, 128) float32] of two kinds: blobs, SIFT's own, and corners, of which a room of plain walls has more.
+    """[((N, 2) px, (N, 128) float32)] of two kinds: SIFT's own blobs, and corners, of which plain rooms have more.
 
-    `enable_precise_upscale`: without it OpenCV's SIFT lies a quarter of a pixel off. Corners are described upright and at one
-    size, which tells them apart better: the cameras of a pair stand alike."""
+    grey : (H, W) uint8. `enable_precise_upscale`: without it OpenCV's SIFT lies a quarter of a pixel off. Corners are
+    described upright and at one size. That tells them apart better, for the cameras of a pair stand alike.
+    """
     import cv2
 
     sift = cv2.SIFT_create(8000, contrastThreshold=0.02, enable_precise_upscale=True)
@@ -64,7 +69,7 @@ def features(grey):
 
 
 def _unique(q, descriptors):
-    """One feature to a place, however many orientations it has; RootSIFT (Arandjelovic and Zisserman 2012)."""
+    """One feature to a place, however many orientations it has, as RootSIFT (Arandjelovic and Zisserman 2012)."""
     if descriptors is None or not len(q):
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
     _, first = np.unique(q.round(2), axis=0, return_index=True)
@@ -77,7 +82,8 @@ def match(grey_left, grey_right, ratio=0.8):
     import cv2
 
     found = [np.zeros((0, 4))]
-    for (q_left, d_left), (q_right, d_right) in zip(features(grey_left), features(grey_right)):
+    # strict=False: a picture without corners has blobs only
+    for (q_left, d_left), (q_right, d_right) in zip(features(grey_left), features(grey_right), strict=False):
         if min(len(q_left), len(q_right)) < 2:
             continue
         there = cv2.BFMatcher().knnMatch(d_left, d_right, k=2)
@@ -102,7 +108,11 @@ def _colmap(camera):
 
 
 def sampson(rt, K_left, K_right, q_left, q_right):
-    """(N,) px, signed: the first-order distance of a pair of pixels to the nearest one that the pose allows (both pictures)."""
+    """(N,) px, signed: the first-order distance of a pair of pixels to the nearest pair that the pose allows.
+
+    Sampson's: x_right^T F x_left, divided by the length of its gradient in both pictures.
+    rt : (6,) left to right; K_left, K_right : (3, 3) px; q_left, q_right : (N, 2) px
+    """
     T = cameras.matrix_from_rt(rt)
     t = T[:3, 3]
     E = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]]) @ T[:3, :3]
@@ -114,7 +124,7 @@ def sampson(rt, K_left, K_right, q_left, q_right):
 
 
 def moved(rt, step):
-    """rt of exp(w) R and of t turned towards dt (two numbers along an orthonormal basis normal to t), |t| = 1. step : (5,)."""
+    """rt (6,) after a step (5,): w turns R to exp(w) R, two numbers along `normal_basis` turn t; |t| = 1."""
     T = cameras.matrix_from_rt(rt)
     out = np.eye(4)
     out[:3, :3] = cameras.matrix_from_rt([*step[:3], 0, 0, 0])[:3, :3] @ T[:3, :3]
@@ -128,8 +138,35 @@ def normal_basis(t):
     return np.linalg.svd(np.reshape(t, (1, 3)))[2][1:].T
 
 
-def relative_pose(left, right, q_left, q_right, names="photographs", samples=40):
-    """left, right : cameras.Camera (only K and size count); samples of the bootstrap. BadInput: too few matches, or no parallax."""
+def relative_pose(left, right, q_left, q_right, names="photographs", samples=40, trace=None) -> RelativePose:
+    """The pose that most matches agree on, its covariance, and whether it is the only one.
+
+    left, right : cameras.Camera, of which only K and size count; q_left, q_right : (N, 2) px, matched
+    names : of the photographs, for messages; samples : of the bootstrap
+    trace : called with rms_px= and inliers= at each step of the refinement
+
+    BadInput: too few matches, or no parallax.
+    """
+    rt = _consensus(left, right, q_left, q_right, names)
+    residual = lambda rt, these=slice(None): sampson(rt, left.K, right.K, q_left[these], q_right[these])
+    inlier = np.abs(residual(rt)) < MAX_ERROR
+    rt, scale = refine(residual, rt, np.flatnonzero(inlier), trace=trace)
+    inlier = np.abs(residual(rt)) < min(6 * scale, MAX_ERROR)
+    rt, scale = refine(residual, rt, np.flatnonzero(inlier), trace=trace)
+    if inlier.sum() < LEAST:
+        raise BadInput(_too_few(names, inlier.sum(), len(q_left)))
+    rms = float(np.sqrt((residual(rt, inlier) ** 2).mean()))
+    if trace:
+        trace(rms_px=rms, inliers=int(inlier.sum()))
+    parallax = _parallax(left, right, q_left[inlier], q_right[inlier], rms, names)
+    cell = (q_left // (max(left.width, left.height) / 8)).astype(int) @ [1000, 1]
+    covariance = bootstrap(residual, rt, np.flatnonzero(inlier), cell[inlier], np.random.default_rng(0), samples)
+    planar, other = _plane(left, right, q_left[inlier], q_right[inlier], rt, rms)
+    return RelativePose(rt, covariance, inlier, rms, parallax, planar, other)
+
+
+def _consensus(left, right, q_left, q_right, names):
+    """(6,) by LO-RANSAC. BadInput: fewer than LEAST matches agree."""
     import pycolmap
 
     if len(q_left) < LEAST:
@@ -142,42 +179,43 @@ def relative_pose(left, right, q_left, q_right, names="photographs", samples=40)
     q = [frames.colmap_from_ours(q_left), frames.colmap_from_ours(q_right)]
     options = pycolmap.RANSACOptions(max_error=MAX_ERROR, min_num_trials=1000, confidence=0.99999, random_seed=0)
     found = pycolmap.estimate_relative_pose(colmap[0], q[0], colmap[1], q[1], options)
-    if found is None or found["num_inliers"] < LEAST:
-        count = 0 if found is None else found["num_inliers"]
-        raise BadInput(f"{names}: matches: {count} of {len(q_left)} agree on a relative pose, {LEAST} are needed")
-    rt = _rt(found["cam2_from_cam1"])
-    residual = lambda rt, these=slice(None): sampson(rt, left.K, right.K, q_left[these], q_right[these])
-    inlier = np.abs(residual(rt)) < MAX_ERROR
-    rt, scale = refine(residual, rt, np.flatnonzero(inlier))
-    inlier = np.abs(residual(rt)) < min(6 * scale, MAX_ERROR)
-    rt, scale = refine(residual, rt, np.flatnonzero(inlier))
-    if inlier.sum() < LEAST:
-        raise BadInput(
-            f"{names}: matches: {inlier.sum()} of {len(q_left)} agree on a relative pose, {LEAST} are needed"
-        )
-    rms = float(np.sqrt((residual(rt, inlier) ** 2).mean()))
-    shift = _without_translation(left, right, q_left[inlier], q_right[inlier])
-    parallax, still = float(np.sqrt((shift**2).mean())), float((shift < max(3 * rms, 0.5)).mean())
+    count = 0 if found is None else found["num_inliers"]
+    if count < LEAST:
+        raise BadInput(_too_few(names, count, len(q_left)))
+    return _rt(found["cam2_from_cam1"])
+
+
+def _too_few(names, count, number):
+    return f"{names}: matches: {count} of {number} agree on a relative pose, {LEAST} are needed"
+
+
+def _parallax(left, right, q_left, q_right, rms, names):
+    """RMS px of what no rotation alone explains. BadInput: a rotation explains most of the matches."""
+    shift = _without_translation(left, right, q_left, q_right)
+    still = float((shift < max(3 * rms, 0.5)).mean())
     if still > STILL:
         raise BadInput(
-            f"{names}: baseline: turning the camera explains {100 * still:.0f} % of the matches, to {np.median(shift):.2f} px: without parallax no relative position and no depth"
+            f"{names}: baseline: turning the camera explains {100 * still:.0f} % of the matches, to "
+            f"{np.median(shift):.2f} px: without parallax no relative position and no depth"
         )
-    cell = (q_left // (max(left.width, left.height) / 8)).astype(int) @ [1000, 1]
-    covariance = bootstrap(residual, rt, np.flatnonzero(inlier), cell[inlier], np.random.default_rng(0), samples)
-    planar, other = _plane(left, right, q_left[inlier], q_right[inlier], rt, rms)
-    return RelativePose(rt, covariance, inlier, rms, parallax, planar, other)
+    return float(np.sqrt((shift**2).mean()))
 
 
-def refine(residual, rt, these, scale=None, steps=20):
-    """(rt, scale px): minimise sum log(1 + (e / scale)^2) (Cauchy's loss) by reweighted Gauss-Newton; the scale is the residuals' own.
+def refine(residual, rt, these, scale=None, steps=20, trace=None):
+    """(rt, scale px): minimise sum log(1 + (e / scale)^2), Cauchy's loss, by reweighted Gauss-Newton.
 
-    Matches in a room slide along edges and sit on shadows: their errors have long tails, and squares would follow them."""
+    residual : (rt, these) -> (n,) px; these : indices of the matches; scale : px, or None for the residuals' own
+    trace : called with rms_px= and inliers= before each step
+
+    Matches in a room slide along edges and sit on shadows: their errors have long tails, and squares would follow them.
+    """
+    at = lambda h: residual(moved(rt, h), these)
     for _ in range(steps):
         e = residual(rt, these)
+        if trace:
+            trace(rms_px=float(np.sqrt((e**2).mean())), inliers=len(these))
         s = scale or max(1.4826 * np.median(np.abs(e)), 0.02)
-        J = np.stack(
-            [(residual(moved(rt, h), these) - residual(moved(rt, -h), these)) / 2e-6 for h in 1e-6 * np.eye(5)], 1
-        )
+        J = np.stack([(at(h) - at(-h)) / (2 * STEP) for h in STEP * np.eye(5)], 1)
         weight = 1 / (1 + (e / s) ** 2)
         A = J.T @ (weight[:, None] * J)
         step = np.linalg.solve(A + 1e-9 * np.trace(A) * np.eye(5), -J.T @ (weight * e))
@@ -188,11 +226,14 @@ def refine(residual, rt, these, scale=None, steps=20):
 
 
 def bootstrap(residual, rt, these, cell, random, samples):
-    """(6, 6), rank 5: the spread about rt of the pose from cells of the picture drawn with replacement, with all their matches.
+    """(6, 6), rank 5: the spread about rt of the pose from cells of the picture, drawn with replacement.
 
-    It asks nothing of the errors' distribution (Efron 1979), and by whole cells (Kuensch 1989) not their independence either:
-    neighbours sit on one edge or shadow and err alike. The usual J^T J, right for independent normal errors, promised a tenth
-    of the true error in rooms of few features. cell : (len(these),) names."""
+    residual, these : as in `refine`; cell : (len(these),) which cell each match lies in
+
+    The bootstrap asks nothing of the errors' distribution (Efron 1979). Whole cells with all their matches are drawn
+    (Kuensch 1989), for neighbours sit on one edge or shadow and err alike. The usual J^T J is right for independent
+    normal errors; in rooms of few features it promised a tenth of the true error.
+    """
     _, scale = refine(residual, rt, these, steps=1)
     basis = normal_basis(rt[3:])
     R = cameras.matrix_from_rt(rt)[:3, :3]
@@ -220,7 +261,9 @@ def _rt(rigid):
 def _without_translation(left, right, q_left, q_right):
     """(N,) px: how far each match is from its place under the best rotation alone.
 
-    By reweighting (Cauchy's loss): of the matches on which a wrong pose agrees some are wrong, and squares would follow those."""
+    By reweighting (Cauchy's loss): some of the matches that agree with a wrong pose are wrong, and squares would follow
+    those.
+    """
     v_left, v_right = (camera.directions(q) for camera, q in ((left, q_left), (right, q_right)))
     u, v = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in (v_left, v_right))
     weight = np.ones(len(u))
@@ -234,10 +277,11 @@ def _without_translation(left, right, q_left, q_right):
 
 
 def _plane(left, right, q_left, q_right, rt, rms):
-    """(one homography explains the matches as well as the pose does, the second pose that follows from it or None).
+    """(one homography explains the matches as well as the pose rt does, the second pose that it allows or None).
 
-    A plane seen twice has two explanations (Longuet-Higgins 1986; Faugeras and Lustman 1988): both are returned where both
-    have every point in front of both cameras."""
+    A plane seen twice has two explanations (Longuet-Higgins 1986; Faugeras and Lustman 1988): the other one is returned
+    where it has every point in front of both cameras.
+    """
     import cv2
 
     H, on = cv2.findHomography(q_left, q_right, cv2.RANSAC, max(4 * rms, 1.0))
@@ -247,7 +291,7 @@ def _plane(left, right, q_left, q_right, rt, rms):
     _, rotations, translations, normals = cv2.decomposeHomographyMat(np.linalg.inv(right.K) @ H @ left.K, np.eye(3))
     v = left.directions(q_left)
     candidates = []
-    for R, t, n in zip(rotations, translations, normals):
+    for R, t, n in zip(rotations, translations, normals, strict=True):
         length = np.linalg.norm(t)
         if length < 1e-12 or not ((v @ n.ravel() > 0).all() or (v @ n.ravel() < 0).all()):
             continue

@@ -1,6 +1,6 @@
-"""Error against CPU time of recognise: the refinement's methods, and the search against the size of the model (for tests/bench).
+"""Error against CPU time of recognise: the refinement's methods, and the search against the size of the model.
 
-$ python -m tests.recognise_curves OUT/          recognise.csv, recognise.png
+$ python -m tests.bench.recognise_curves OUT/          recognise.csv, recognise.png
 """
 
 import csv
@@ -20,8 +20,10 @@ HEAD = ("curve", "scene", "method", "setting", "iteration", "cpu_s", "turn_deg",
 
 
 def refinement_curves(log):
-    """The office's pair drawn from the index buffer, regions that are exactly the facets (better than any segmentation: the paper's method
-    needs their corners), four starts 1.5 degrees and 5 cm away."""
+    """The office's pair drawn from the index buffer, four starts 1.5 degrees and 5 cm away.
+
+    The regions are exactly the facets, better than any segmentation: the paper's method needs their corners.
+    """
     from lib.given import cameras
     from lib.given import model as models
     from lib.given.cameras import Camera
@@ -77,7 +79,7 @@ def refinement_curves(log):
 
 
 def search_curves(log, seeds=8):
-    """Rooms in a row, one of them seen, half of the facets spurious: share answered (none may be wrong), CPU seconds."""
+    """Rooms in a row, one of them seen, half of the facets spurious: share answered, none of it wrong, CPU seconds."""
     from lib.vision.recognition import recognise as recognition
     from tests.helpers import facet_trials as trials
 

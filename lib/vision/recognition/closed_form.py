@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lib.given.cameras import matrix_from_rt
 from lib.vision.recognition.rotations import kabsch
 
 GATE = 21.1  # chi-square of 3 degrees of freedom, 99.99 %
@@ -17,9 +18,12 @@ DISTINCT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """T : (4, 4)                  T_cam_world, metres
+    """A displacement of the model, and how well it explains the facets.
+
+    T : (4, 4)                  T_cam_world, metres
     scale : m per unit of the facets
-    covariance : (6, 6) or (7, 7)   of (omega, tau[, ln scale]): T = exp(omega, tau) T_hat, camera axes, radians and metres
+    covariance : (6, 6) or (7, 7)   of (omega, tau[, ln scale]): T = exp(omega, tau) T_hat, camera axes, rad and m
+                                until recognise.py inverts it: the normal matrix
     matches : (n, 2) int        scene facet, model facet
     score : evidence in nats: what the matches' chance would have been
     chi2 : of the matches, 3 for each expected
@@ -43,8 +47,8 @@ def closed_form(m, covariance, n_world, offset, g, scale_free=False):
     """Pose from planes in closed form: (T_cam_world, scale). The paper's linear step.
 
     m, covariance, g : of the scene's planes and a point on each;  n_world, offset : of the model's, facing the camera.
-    Rotation by Kabsch on the normals, then translation (and scale) by weighted linear least squares on
-    the points' heights: n . (q R^T g + c) = offset, c the camera's centre.
+    Rotation by Kabsch on the normals. Then translation (and scale) by weighted linear least squares on the points'
+    heights: n . (q R^T g + c) = offset, with c the camera's centre.
     """
     d = 1 / np.linalg.norm(m, axis=1)
     n = -m * d[:, None]
@@ -64,7 +68,10 @@ def closed_form(m, covariance, n_world, offset, g, scale_free=False):
 
 
 def _fit(seen, db, T, q, scene_idx, facet_idx, scale_free, iterations=8):
-    """Gauss-Newton on the planes' m = n q / d under their covariances: T, q, information (6, 6) or (7, 7), chi2 per match."""
+    """Gauss-Newton on the planes' m = n q / d under their covariances.
+
+    Returns T, q, the normal matrix (6, 6) or (7, 7), and chi2 (n,) of the matches.
+    """
     n_w, o = db.axes[facet_idx, 0], db.low[facet_idx, 0]
     L = np.linalg.inv(np.linalg.cholesky(seen.covariance[scene_idx]))
     m = seen.m[scene_idx]
@@ -107,8 +114,6 @@ def _fit(seen, db, T, q, scene_idx, facet_idx, scale_free, iterations=8):
 
 def moved(T, step):
     """exp(omega, tau) T: a pose turned by omega (rad) about the camera's axes, then moved by tau (m) along them."""
-    from lib.given.cameras import matrix_from_rt
-
     return matrix_from_rt(np.asarray(step[:6], float)) @ T
 
 
@@ -136,13 +141,10 @@ def _explained(seen, db, T, q, share=0.55):
     )  # 1/z in units of the facets
     expected, sigma = np.concatenate(seen.inverse), np.concatenate(seen.sigma)
     turned = np.einsum("ij,ij->i", db.axes[facet, 0], v_world) < 0
-    normal = seen.n[np.repeat(np.arange(len(count)), count)] @ R
-    aligned = (
-        np.abs(np.einsum("ij,ij->i", db.axes[facet, 0], normal))
-        > np.cos(np.minimum(3.5 * seen.angle + 0.02, 0.7))[np.repeat(np.arange(len(count)), count)]
-    )
-    good = hit & (np.abs(inverse - expected) < 3.5 * sigma + 0.002 * expected) & (turned | db.twosided[facet]) & aligned
     owner = np.repeat(np.arange(len(count)), count)
+    cosine = np.abs(np.einsum("ij,ij->i", db.axes[facet, 0], seen.n[owner] @ R))
+    aligned = cosine > np.cos(np.minimum(3.5 * seen.angle + 0.02, 0.7))[owner]
+    good = hit & (np.abs(inverse - expected) < 3.5 * sigma + 0.002 * expected) & (turned | db.twosided[facet]) & aligned
     fraction = np.bincount(owner, good, len(count)) / np.maximum(count, 1)
     matches = []
     for i in np.flatnonzero(fraction >= share):
@@ -157,7 +159,10 @@ def _facing(db, T, facets):
 
 
 def polish(seen, db, weight, T, q, pairs, scale_free):
-    """From a candidate to a Pose (in coordinates about db.centre), or None."""
+    """From a candidate to a Pose, in coordinates about db.centre, or None where it does not hold.
+
+    seen : hashing.Seen; db : hashing.Database; weight : (N,) nats; T, q : (4, 4), scale; pairs : (n, 2) its matches
+    """
     facets = pairs[:, 1]
     turn = _facing(db, T, facets)
     linear, q_linear = closed_form(
@@ -172,9 +177,8 @@ def polish(seen, db, weight, T, q, pairs, scale_free):
         return None
     # The closed form is the start unless it is worse posed than the search's own place (two facets, say).
     T, q = (linear, q_linear) if _well_posed(db, pairs) else (T, q)
-    H, chi2 = None, None
     for _ in range(3):
-        T, q, H, chi2 = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
+        T, q, _, _ = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
         matches, fraction = _explained(seen, db, T, q)
         if len(matches) < 2:
             return None
@@ -209,10 +213,12 @@ def polish(seen, db, weight, T, q, pairs, scale_free):
 
 
 def _well_posed(db, pairs):
+    """Do the normals of these matches span space?"""
     return np.linalg.svd(db.axes[pairs[:, 1], 0], compute_uv=False)[-1] > 0.1 if len(pairs) >= 3 else False
 
 
 def _corner_distance(outline, corners, T, q):
+    """Root mean square m of the outline's corners (k, 3) to the nearest of the facet's (n, 3), world."""
     if len(corners) == 0:
         return 0.0
     p = corners @ T[:3, :3].T + T[:3, 3]

@@ -1,18 +1,18 @@
 """§2.4 Recognition: which part of the model do the reconstructed facets show, and from where?
 
-    scene = read_facets("facets.json")
+    scene = facets_file.read_scene("facets.json")
     found = recognise(scene, model, camera)         # Recognition: poses, best first, and their matches
 
-The frame of the facets is the left camera's; a pose takes the model's frame ("world", metres) to it. The
-scale q is the metre per unit of the facets: 1, or unknown where the unit is the pair's baseline.
+The frame of the facets is the left camera's; a pose takes the model's frame ("world", metres) to it. The scale q is
+the metres per unit of the facets: 1, or unknown where the unit is the pair's baseline.
 
-Method. Normals alone give a few rotations (angles are the hash: pairs of scene facets against pairs of the
-model's directions). For each, a scene facet i may lie on a model facet a if it is not larger, and that holds for the
-positions in a flat box: thin along the normal (the covariance), as wide as the part that is seen may slide on
-what is there. The largest set of matches compatible with one displacement is the deepest point of those
-boxes, found by branch and bound, so that nothing is missed. The best candidates are fitted to the planes in
-closed form, then by least squares under the covariances, and rays say what the camera would see there: only a
-facet that would show itself where the region lies counts.
+Method. Normals alone give a few rotations: angles are the hash, pairs of scene facets against pairs of the model's
+directions. At each rotation a scene facet may lie on a facet of the model that is not smaller. The positions where it
+does fill a flat box: thin along the normal (the covariance), as wide as the part that is seen may slide on what is
+there. The largest set of matches that one displacement allows is the deepest point of those boxes. Branch and bound
+finds it, so that nothing is missed. The best candidates are fitted to the planes in closed form, then by least squares
+under the covariances. Rays say what the camera would see there: only a facet that would show where the region lies
+counts.
 """
 
 import math
@@ -28,16 +28,21 @@ from lib.vision.recognition.rotations import candidate_rotations, directions
 from lib.vision.recognition.search import candidates, weights
 
 PROVEN_SHARE = 0.33  # of all evidence; half of the facets may be spurious
+HELD = 0.15  # rad, or parts of the depth: a looser pose is not held by the facets
 
 
 @dataclass(frozen=True, eq=False)
 class Recognition:
-    """poses : tuple of Pose          best first; those behind the first explain the facets as well ("ambiguous")
-    status : "unique"; "ambiguous"; "unproved": no more evidence than the search finds by chance, or for a small part of the facets only, or a
-             pose that they hardly hold, so that the photographs must decide; "not recognised": nothing to decide about
+    """The answer.
+
+    poses : tuple of Pose          best first; those behind the first explain the facets as well ("ambiguous")
+    status : "unique"; "ambiguous"; "unproved": the photographs must decide, for there is no more evidence than the
+             search finds by chance, or for a small part of the facets only, or the facets hardly hold the pose;
+             "not recognised": nothing to decide about
     why : str                     in plain words, where it is not recognised
     weight : (N,)                 evidence in nats of each scene facet
-    counts : dict                 rotations, correspondences, nodes, candidates; whether the search was complete; chance: nats found by chance
+    counts : dict                 rotations, correspondences, nodes, candidates; complete: the search was;
+                                  chance: nats found by chance
     """
 
     poses: tuple
@@ -98,46 +103,48 @@ def _judge(seen, db, weight, poses, certain, scale_free, counts):
     poses = sorted(poses, key=lambda p: (-round(p.score, 1), p.vertex_m))
     best = poses[0]
     size = 7 if scale_free else 6
-    loosest = 1 / math.sqrt(
-        max(np.linalg.eigvalsh(best.covariance / _unit(seen, best.scale, size))[0], 1e-12)
-    )  # rad, or parts of the depth
-    planes = f"only {distinct_planes(db, best.matches[:, 1])} distinct planes explain {len(best.matches)} of {len(weight)} facets: the pose cannot be known"
+    information = np.linalg.eigvalsh(best.covariance / _unit(seen, best.scale, size))
+    loosest = 1 / math.sqrt(max(information[0], 1e-12))  # rad, or parts of the depth
+    planes = (
+        f"only {distinct_planes(db, best.matches[:, 1])} distinct planes explain {len(best.matches)} of {len(weight)} "
+        "facets: the pose cannot be known"
+    )
     if len(best.matches) < 3 or loosest > 1:
         return Recognition((), "not recognised", planes, weight, counts)
     rivals = [p for p in poses[1:] if p.score > best.score - certain]
-    final = []
-    for p in (best, *rivals):
-        T = p.T.copy()
-        T[:3, 3] = p.T[:3, 3] - p.T[:3, :3] @ db.centre
-        linear = p.linear.copy()
-        linear[:3, 3] = linear[:3, 3] - linear[:3, :3] @ db.centre
-        final.append(
-            replace(
-                p,
-                T=T,
-                covariance=np.linalg.inv(p.covariance + 1e-2 * _unit(seen, p.scale, size) * np.eye(size)),
-                linear=linear,
-            )
-        )
+    final = tuple(_in_the_world(p, seen, db, size) for p in (best, *rivals))
+    why = _unproved(best, planes if loosest > HELD else "", weight, counts)
+    status = "unproved" if why else "ambiguous" if len(final) > 1 else "unique"
+    return Recognition(final, status, why, weight, counts)
+
+
+def _in_the_world(pose, seen, db, size):
+    """A Pose in the model's own frame, its covariance in place of the normal matrix."""
+
+    def moved(T):
+        T = T.copy()
+        T[:3, 3] = T[:3, 3] - T[:3, :3] @ db.centre
+        return T
+
+    covariance = np.linalg.inv(pose.covariance + 1e-2 * _unit(seen, pose.scale, size) * np.eye(size))
+    return replace(pose, T=moved(pose.T), covariance=covariance, linear=moved(pose.linear))
+
+
+def _unproved(best, loose, weight, counts):
+    """Why the photographs must decide, in words, or "". loose : what is said of a pose that the facets hardly hold"""
     if not counts["complete"]:
-        why = f"the search gave up after {counts['nodes']} cells: other displacements may explain the facets as well"
-        return Recognition(tuple(final), "unproved", why, weight, counts)
-    if loosest > 0.15:
-        return Recognition(tuple(final), "unproved", planes, weight, counts)
+        return f"the search gave up after {counts['nodes']} cells: other displacements may explain the facets as well"
+    if loose:
+        return loose
     share = best.score / max(float(weight.sum()), 1e-12)
-    if best.score < counts["chance"] + 1 or share < PROVEN_SHARE:
-        small = (
-            "no more than a displacement that is wrong explains by chance"
-            if best.score < counts["chance"] + 1
-            else f"{100 * share:.0f} % of what they say"
-        )
-        why = f"the best displacement explains {len(best.matches)} of {len(weight)} facets, {small}"
-        return Recognition(tuple(final), "unproved", why, weight, counts)
-    return Recognition(tuple(final), "ambiguous" if len(final) > 1 else "unique", "", weight, counts)
+    explains = f"the best displacement explains {len(best.matches)} of {len(weight)} facets"
+    if best.score < counts["chance"] + 1:
+        return f"{explains}, no more than a displacement that is wrong explains by chance"
+    return f"{explains}, {100 * share:.0f} % of what they say" if share < PROVEN_SHARE else ""
 
 
 def _unit(seen, scale, size):
-    """Outer product that makes an information matrix dimensionless: radians, and translations as parts of the scene's depth."""
+    """Outer product that makes a normal matrix dimensionless: radians, and translations as parts of the depth."""
     u = np.ones(size)
     u[3:6] = 1 / (seen.radius * scale)
     return np.outer(u, u)
@@ -148,33 +155,9 @@ def warm_up():
     one, zero, eye = np.zeros((1, 3)), np.zeros(1, np.int64), np.eye(3)
     kernels.support(eye[None], eye, eye, np.ones(3), np.ones(3))
     kernels.aligned(eye, eye, np.ones(3), eye)
-    hashing_kernels.fill(
-        one,
-        np.ones(1),
-        eye,
-        np.array([0, 3]),
-        one,
-        np.ones(1),
-        np.ones(1),
-        eye[None],
-        np.ones(1, bool),
-        np.ones((1, 1), bool),
-    )
-    search_kernels.search(
-        zero,
-        eye[None],
-        one - 1,
-        one + 1,
-        one - 1,
-        one + 1,
-        zero,
-        np.array([0, 1]),
-        np.ones(1),
-        np.zeros(1),
-        np.ones(1),
-        np.ones(3),
-        1.0,
-        np.ones(1),
-        1.0,
-        100,
-    )
+    scene = hashing_kernels.SceneSide(one, np.ones(1), eye, np.array([0, 3]), one, np.ones(1), np.ones(1))
+    model = hashing_kernels.ModelSide(eye[None], one - 1, one + 1, np.ones(1, bool))
+    hashing_kernels.fill(scene, model, np.ones((1, 1), bool))
+    pairs = search_kernels.Conditions(zero, np.zeros((1, 3, 7)))
+    problems = search_kernels.Problems(zero, np.array([0, 1]), np.ones(1), np.zeros(1), np.ones(1))
+    search_kernels.search(pairs, problems, np.ones(1), search_kernels.Limits(np.ones(3), 1.0, 1.0, 100))

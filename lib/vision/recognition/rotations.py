@@ -23,14 +23,26 @@ def directions(db, most=60):
 
 
 def candidate_rotations(seen, directions, most=200, tried=20000):
-    """Rotations, world to camera, that bring normals together: (R, sigma rad, evidence) each, the most evidence first.
+    """Rotations, world to camera, that bring normals together: [(R, sigma rad, evidence)], the most evidence first.
 
+    seen : hashing.Seen; directions : (D, 3); most : that are returned; tried : pairs of pairs
     The evidence of a normal that meets one of the model's directions is -ln of the chance that any normal does.
     """
-    from scipy.spatial.transform import Rotation
-
     gate = np.minimum(3 * seen.angle + 0.03, 0.6)
     evidence = np.maximum(-np.log(len(directions) * (1 - np.cos(gate)) / 2), 0)
+    R = _of_pairs(seen, directions, tried)
+    if len(R) == 0:
+        return []
+    score = kernels.support(R, seen.n, directions, np.cos(gate), evidence)
+    R = R[np.argsort(-score, kind="stable")]
+    found = [
+        (refined, sigma, float(evidence[fits].sum())) for refined, sigma, fits in _distinct(R, seen, directions, most)
+    ]
+    return sorted(found, key=lambda f: -f[2])
+
+
+def _of_pairs(seen, directions, tried):
+    """(n, 3, 3): rotations that turn two facets onto two directions with the same angle between, sure pairs first."""
     i, j = np.triu_indices(len(seen.n), 1)
     cosine = np.einsum("ij,ij->i", seen.n[i], seen.n[j])
     tolerance = 3 * np.hypot(seen.angle[i], seen.angle[j]) + 0.005
@@ -45,15 +57,18 @@ def candidate_rotations(seen, directions, most=200, tried=20000):
         if number > tried:
             break
     if number == 0:
-        return []
+        return np.zeros((0, 3, 3))
     k, a, b = np.concatenate(pairs, axis=1)
-    R = _frames(seen.n[i[k]], seen.n[j[k]]) @ _frames(directions[a], directions[b]).transpose(0, 2, 1)
-    score = kernels.support(R, seen.n, directions, np.cos(gate), evidence)
-    order = np.argsort(-score, kind="stable")
-    R, score = R[order], score[order]
+    return _frames(seen.n[i[k]], seen.n[j[k]]) @ _frames(directions[a], directions[b]).transpose(0, 2, 1)
+
+
+def _distinct(R, seen, directions, most):
+    """(R, sigma, fits) of at most so many rotations (n, 3, 3), refined, one of those that are alike."""
+    from scipy.spatial.transform import Rotation
+
     quaternion = Rotation.from_matrix(R).as_quat()
     left = np.ones(len(R), bool)
-    found, kept = [], np.zeros((0, 3, 3))
+    kept = np.zeros((0, 3, 3))
     for k in range(len(R)):
         if not left[k]:
             continue
@@ -64,14 +79,13 @@ def candidate_rotations(seen, directions, most=200, tried=20000):
         if (np.einsum("ij,kij->k", refined, kept) > 1 + 2 * math.cos(0.02)).any():
             continue
         kept = np.concatenate([kept, refined[None]])
-        found.append((refined, sigma, float(evidence[fits].sum())))
-        if len(found) == most:
+        yield refined, sigma, fits
+        if len(kept) == most:
             break
-    return sorted(found, key=lambda f: -f[2])
 
 
 def _frames(a, b):
-    """(..., 3, 3): orthonormal frames, as columns, from two directions each, the error of the angle shared between both."""
+    """(..., 3, 3): orthonormal frames, as columns, from two directions each; both share the error of the angle."""
     c = np.cross(a, b)
     c = c / np.linalg.norm(c, axis=-1, keepdims=True)
     s = a / np.linalg.norm(a, axis=-1, keepdims=True) + b / np.linalg.norm(b, axis=-1, keepdims=True)
@@ -80,7 +94,9 @@ def _frames(a, b):
 
 
 def kabsch(a, b, weight):
-    """The rotation R (det +1: never a reflection) that minimises sum weight |b - R a|^2; a, b : (n, 3). Kabsch 1976, Horn 1987.
+    """The rotation R (det +1: never a reflection) that minimises sum weight |b - R a|^2. Kabsch 1976, Horn 1987.
+
+    a, b : (n, 3)
 
     >>> R = kabsch(np.eye(3), np.eye(3)[[1, 2, 0]], np.ones(3))
     >>> (R @ np.eye(3)[0]).round(9) + 0.0

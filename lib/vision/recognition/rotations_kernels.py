@@ -9,7 +9,11 @@ from lib.core.compiled import njit
 
 @njit()
 def aligned(R, n, angle, directions):
-    """R improved on all normals near a direction: (R, sigma rad of its worst turn, (N,) bool which normals); sigma is infinite where nothing holds it."""
+    """R improved on all normals near a direction: (R, sigma rad of its worst turn, (N,) bool which normals).
+
+    R : (3, 3) world to camera; n : (N, 3), angle : (N,) rad of the scene; directions : (D, 3) of the model
+    sigma is infinite where nothing holds the rotation.
+    """
     fits, sigma = np.zeros(len(n), np.bool_), 0.03
     for _ in range(3):
         M, information = np.zeros((3, 3)), np.zeros((3, 3))
@@ -32,7 +36,7 @@ def aligned(R, n, angle, directions):
                         information[x, y] -= w * n[i, x] * n[i, y]
         if fits.sum() < 2:
             return R, np.inf, fits
-        u, _, vt = np.linalg.svd(M)  # Kabsch, as below
+        u, _, vt = np.linalg.svd(M)  # Kabsch, as in rotations.py
         turn = np.eye(3)
         turn[2, 2] = np.linalg.det(u @ vt)
         R = u @ turn @ vt
@@ -43,7 +47,11 @@ def aligned(R, n, angle, directions):
 
 @njit()
 def support(R, n, directions, gate, evidence):
-    """(len(R),): the evidence of the normals n (N, 3) that a rotation brings within their gates (cosines) of a direction."""
+    """(len(R),) nats: the evidence of the normals that a rotation brings near a direction.
+
+    R : (k, 3, 3) world to camera; n : (N, 3) of the scene; directions : (D, 3) of the model; gate : (N,) cosine from
+    which on a normal is near; evidence : (N,) nats
+    """
     score = np.zeros(len(R))
     for k in range(len(R)):
         for i in range(len(n)):

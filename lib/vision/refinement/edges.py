@@ -17,9 +17,12 @@ STEP_PX, CREASE_PX = 0.1, 0.7  # what places of edges are worth at best: steps, 
 
 
 @dataclass(frozen=True, eq=False)
-class _Level:
-    """A photograph reduced `factor` times: smoothed, in approximately linear light. noise : of the contrast between pixels two apart;
-    dark : light below which contrasts fade; white : light that is clipped"""
+class Level:
+    """A photograph reduced `factor` times: smoothed, in approximately linear light.
+
+    noise : of the contrast between pixels two apart; dark : light below which contrasts fade; white : light that is
+    clipped
+    """
 
     picture: np.ndarray
     factor: int
@@ -29,7 +32,10 @@ class _Level:
 
 
 def pyramid(photograph, coarsest):
-    """{factor: _Level} for 1, 2, 4, ... coarsest. Light adds up within a pixel, display values do not: an edge of display values would be found up to 0.1 px aside."""
+    """{factor: Level} for 1, 2, 4, ... coarsest, of an image.Photograph.
+
+    Light adds up within a pixel, display values do not: an edge of display values would be found up to 0.1 px aside.
+    """
     import cv2
 
     values = photograph.values
@@ -46,7 +52,7 @@ def pyramid(photograph, coarsest):
             np.linalg.norm(smooth[:, 1:-1], axis=2) + dark
         )
         noise = float(np.median(contrast)) if contrast.size else 0.0
-        levels[factor] = _Level(smooth, factor, max(noise, 1e-3), dark, white)
+        levels[factor] = Level(smooth, factor, max(noise, 1e-3), dark, white)
         factor *= 2
         if factor > coarsest or min(picture.shape[:2]) < 80:
             return levels
@@ -57,7 +63,7 @@ def pyramid(photograph, coarsest):
 
 
 @dataclass(frozen=True, eq=False)
-class _Edges:
+class Edges:
     """Edges of facets, one for each place. a, b : (E, 3) m, world; facets : (E, 4) that end there, -1 for none"""
 
     a: np.ndarray
@@ -65,7 +71,8 @@ class _Edges:
     facets: np.ndarray
 
 
-def model_edges(model) -> _Edges:
+def model_edges(model) -> Edges:
+    """The edges of the model's facets, those at one place once."""
     ends = edges_.facet_edges(model)
     t = model.triangles
     position = np.unique(model.vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)
@@ -84,12 +91,15 @@ def model_edges(model) -> _Edges:
     slot = np.arange(len(pairs)) - np.searchsorted(pairs[:, 0], pairs[:, 0])
     few = slot < 4
     facets[pairs[few, 0], slot[few]] = pairs[few, 1]
-    return _Edges(model.vertices[ends[first, 0]], model.vertices[ends[first, 1]], facets)
+    return Edges(model.vertices[ends[first, 0]], model.vertices[ends[first, 1]], facets)
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Points of visible edges. p : (N, 3) m, world; q, normal : (N, 2) px; edge : (N,); clear : (N,) px, on both sides nothing else begins"""
+    """Points of visible edges.
+
+    p : (N, 3) m, world; q, normal : (N, 2) px; edge : (N,); clear : (N,) px, so far nothing else begins on both sides
+    """
 
     p: np.ndarray
     q: np.ndarray
@@ -99,6 +109,7 @@ class Samples:
 
 
 def draw(model, camera):
+    """The index buffer, by OpenGL where there is one."""
     try:
         return index_buffer.draw(model, camera)
     except opengl.NoGraphics:
@@ -159,7 +170,10 @@ def _inverse(t, za, zb, owner):
 
 
 def _alone(q, normal, edge, z, depth, reach):
-    """(N,) px: how far from another edge that may be seen, across; slivers too thin for the index buffer have edges too. Edges on one line count as one."""
+    """(N,) px: how far each sample is from another edge that may be seen, across its own.
+
+    Slivers too thin for the index buffer have edges too. Edges on one line count as one.
+    """
     import cv2
     from scipy.spatial import cKDTree
 
@@ -186,34 +200,34 @@ def _alone(q, normal, edge, z, depth, reach):
 # What the photograph shows.
 
 
+def _profiles(level, at):
+    """(N, L, C) of the picture at (N, L, 2) px, between pixels linearly."""
+    import cv2
+
+    if len(at) == 0:
+        return np.zeros((0, at.shape[1], 1))
+    parts = np.array_split(at.astype(np.float32), len(at) // 8000 + 1)  # OpenCV takes at most 32767 rows
+    return np.concatenate(
+        [
+            cv2.remap(
+                level.picture, part[..., 0], part[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            ).reshape(len(part), at.shape[1], -1)
+            for part in parts
+        ]
+    )
+
+
 def find(level, q, normal, reach):
     """Along each normal, within `reach` px: (offset, strength, doubt), strength 0 where nothing rises above the noise.
 
-    The greatest change of colour, near ones favoured, its place by a parabola; doubt is how nearly another one would have won.
+    The greatest change of colour, near ones favoured, its place by a parabola. doubt : in [0, 1], how nearly another
+    one would have won. level : Level; q, normal : (N, 2) px; reach : px
     """
-    import cv2
-
     step = 0.5
     half = int(math.ceil(reach / step))
     o = step * np.arange(-half - 2, half + 3)
     at = q[:, None] + o[None, :, None] * normal[:, None]
-    profile = (
-        np.concatenate(
-            [
-                cv2.remap(
-                    level.picture,
-                    part[..., 0].astype(np.float32),
-                    part[..., 1].astype(np.float32),
-                    cv2.INTER_LINEAR,
-                    borderMode=cv2.BORDER_REPLICATE,
-                ).reshape(len(part), len(o), -1)
-                for part in np.array_split(at, max(1, len(at) // 8000 + 1))
-                if len(part)
-            ]
-        )
-        if len(at)
-        else np.zeros((0, len(o), 1))
-    )
+    profile = _profiles(level, at)
     change = profile[:, 4:] - profile[:, :-4]  # over two pixels, at o[2:-2]
     M = np.linalg.norm(change, axis=2)  # (N, 2 half + 1)
     inner = o[2:-2]
@@ -237,12 +251,13 @@ def find(level, q, normal, reach):
 def locate(level, q, normal, clear, ramp=1.0):
     """Along each normal, within 2 px: (offset, sigma px, strength), strength 0 where there is no edge to be placed.
 
-    The profile is compared with every step and crease: a + b x + c S(x - x0) + d R(x - x0), S a step and R a ramp as blurred as the
-    picture; where two walls meet light falls off towards both, and the greatest change lies a pixel beside the corner. Least squares
-    over all channels, x0 by a parabola; sigma from the curvature. The window is as wide as the edge is alone.
-    """
-    import cv2
+    level : Level; q, normal : (N, 2) px; clear : (N,) px, how far the edge is alone; ramp : px, blur of the picture
 
+    The profile is compared with every step and crease: a + b x + c S(x - x0) + d R(x - x0), S a step and R a ramp as
+    blurred as the picture. A step alone would not do: where two walls meet, light falls off towards both, and the
+    greatest change lies a pixel beside the corner. Least squares over all channels, x0 by a parabola, sigma from the
+    curvature. The window is as wide as the edge is alone.
+    """
     N = len(q)
     offset, sigma, strength = np.zeros(N), np.full(N, np.inf), np.zeros(N)
     if N == 0:
@@ -250,18 +265,7 @@ def locate(level, q, normal, clear, ramp=1.0):
     step = 0.5
     o = step * np.arange(-8, 9)
     at = q[:, None] + o[None, :, None] * normal[:, None]
-    profile = np.concatenate(
-        [
-            cv2.remap(
-                level.picture,
-                part[..., 0].astype(np.float32),
-                part[..., 1].astype(np.float32),
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_REPLICATE,
-            ).reshape(len(part), len(o), -1)
-            for part in np.array_split(at, N // 8000 + 1)
-        ]
-    )
+    profile = _profiles(level, at)
     profile = profile.transpose(0, 2, 1).astype(float)  # (N, C, L)
     for width, low, high in ((4, 4, math.inf), (3, 3, 4), (2, 1.8, 3)):
         mine = np.flatnonzero((clear >= low) & (clear < high))

@@ -8,7 +8,10 @@ from lib.vision.refinement.edges import find, visible_samples
 
 
 def witnesses_of(model, edges, rig, pyramids, T, scale):
-    """Per side (q, normal, hit, beside): the predicted visible edges every 5 px, whether an edge is found within 1.5 px, and how often 9 px beside."""
+    """Per side the predicted visible edges every 5 px: (q, normal, hit, beside).
+
+    q, normal : (N, 2) px; hit : (N,) bool, an edge is found within 1.5 px; beside : (N,), how often 9 px beside
+    """
     sides = []
     for side, camera in enumerate(rig.cameras(T, scale)):
         s = visible_samples(model, edges, camera, 1, step_px=5.0, reach=4)
@@ -21,16 +24,19 @@ def witnesses_of(model, edges, rig, pyramids, T, scale):
 
 
 def _nats(hits, number, chance):
-    """What so many hits are worth against chance: one witness for every 25 px of edge; right poses show at least 0.6 of their edges."""
+    """What so many hits are worth against chance: one witness for every 25 px of edge.
+
+    Right poses show at least 0.6 of their edges.
+    """
     return (hits * math.log(0.6 / chance) + (number - hits) * math.log(0.4 / (1 - chance))) / 5
 
 
 def evidence_of(model, edges, rig, pyramids, T, scale):
-    """(support, chance, nats): the share of predicted edges found, the share found beside them, and what that is worth."""
+    """(support, chance, nats): the share of predicted edges found, the share found beside them, what that is worth."""
     sides = witnesses_of(model, edges, rig, pyramids, T, scale)
-    number, hits, beside = (
-        sum(f(s) for s in sides) for f in (lambda s: len(s[0]), lambda s: int(s[2].sum()), lambda s: float(s[3].sum()))
-    )
+    number = sum(len(q) for q, _, _, _ in sides)
+    hits = sum(int(hit.sum()) for _, _, hit, _ in sides)
+    beside = sum(float(beside.sum()) for _, _, _, beside in sides)
     if number == 0:
         return 0.0, 0.0, 0.0
     chance = min(max(beside / number, 0.02), 0.5)
@@ -38,18 +44,20 @@ def evidence_of(model, edges, rig, pyramids, T, scale):
 
 
 def refuted(best, rival, support, chance, certain):
-    """Do the photographs tell two poses apart?  By the edges that only one of them predicts (4 px from any of the other's of its direction).
+    """Do the photographs refute the rival, by the edges that only one of two poses predicts?
 
-    The gap must be worth `certain` nats, and what the best pose has of its own must be there as the rest of it is; only where it has next to nothing
-    of its own may the rival fall by its own parts alone. A poster that shares two edges with the photographed one makes its room no better
-    than a room without, nor than one with yet another poster.
-    best, rival : of _witnesses
+    best, rival : of `witnesses_of`; support : share of the best pose's edges that are found; chance : share found
+    anywhere; certain : nats. An edge is a pose's own if the other has none of its direction within 4 px.
+
+    The gap must be worth `certain` nats, and the best pose's own edges must be found nearly as often as the rest of its
+    edges are. Only where it has next to no own edges may the rival fall by its own alone. So a poster that shares two
+    edges with the photographed one makes its room no better than a room without, nor than one with another poster.
     """
     from scipy.spatial import cKDTree
 
     def alone(mine, others):
         hits = number = 0
-        for (q, normal, hit, _), (q_other, normal_other, _, _) in zip(mine, others):
+        for (q, normal, hit, _), (q_other, normal_other, _, _) in zip(mine, others, strict=True):
             if not len(q):
                 continue
             only = np.ones(len(q), bool)

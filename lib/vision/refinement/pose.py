@@ -23,13 +23,15 @@ from lib.vision.refinement.rig import Fit, Rig, depth, gap_to_prior, moved_px, p
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """cameras : tuple of Camera          posed in the model's frame
-    covariance : (6, 6)              of (omega, tau) of the left camera: T = exp(omega, tau) T_hat, its axes, rad and m
+    """The refined pose, and what the photographs say of it.
+
+    cameras : tuple of Camera          posed in the model's frame
+    covariance : (6, 6)              of (omega, tau): T = exp(omega, tau) T_hat, left camera's axes, rad and m
     scale : m per unit of the pair's baseline; 1 where that is the metre
     rms_px : of the residuals, robust
     support : share of the predicted edges that the photographs show; chance : share that would be found anywhere
     evidence : nats, from support against chance
-    trace : list of dict              iteration, step, error_px, rt_cam_world, ...; cpu_s, wall_s by the process's clocks
+    trace : list of dict              iteration, step, error_px, rt_cam_world, ...; cpu_s, wall_s of the process
     status, chosen, ambiguous         see refine
     """
 
@@ -50,9 +52,11 @@ WITNESS = 10  # samples that share their error, about
 
 
 def _solve(rig, T, scale, found, sigma, free, prior, iterations=6):
-    """LM on correspondences: found = [(p, q, normal, offset, weight)] per side; Geman-McClure loss of width 2 sigma. prior : (H, T0, scale0) or None.
+    """Levenberg-Marquardt on correspondences, with a Geman-McClure loss of width 2.5 sigma.
 
-    Returns T, scale, and per side residuals and robust weights, and the normal matrix."""
+    found : [(p, q, normal, offset, weight)] per side; sigma : px; free : the scale too; prior : (H, T0, scale0) or None
+    Returns T, scale, the normal matrix, and [(J, residuals, robust weights)] per side.
+    """
     size = 7 if free else 6
     width = 2.5 * sigma
 
@@ -105,7 +109,10 @@ def _solve(rig, T, scale, found, sigma, free, prior, iterations=6):
 
 
 def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, prior=None):
-    """Runs a schedule of (factor, reach): appends to trace; returns T, scale and the last _Fit, or None where there were too few samples."""
+    """Runs a schedule [(factor, reach px)]; appends to the trace.
+
+    Returns T, scale and the last Fit, or None in its place where there were too few samples.
+    """
     last, before = None, None
     for number, (factor, reach) in enumerate(schedule):
         final = number == len(schedule) - 1
@@ -149,15 +156,15 @@ def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, 
 
 
 def _covariance(fit):
-    """Of the step, by clusters: errors along one edge go together, whatever their cause (lens, light, the model), so each edge is one witness.
+    """Of the step, by clusters: errors along one edge go together, whatever their cause (lens, light, the model).
 
-    The jackknife over edges: leaving edge e out moves the solution by (H - A_e)^-1 g_e, with A_e and g_e the edge's share of the normal
-    matrix and its gradient; the covariance is the sum of the squares (CR3; Bell and McCaffrey 2002). It knows that a long edge bends the
-    solution towards itself.
+    So each edge is one witness, and the covariance is the jackknife's over edges. Leaving edge e out moves the solution
+    by (H - A_e)^-1 g_e, with A_e and g_e the edge's share of the normal matrix and its gradient. The covariance is the
+    sum of the squares (CR3; Bell and McCaffrey 2002). It knows that a long edge bends the solution towards itself.
     """
     size = len(fit.H)
     A, g = {}, {}
-    for (J, r, w), (edge, _) in zip(fit.parts, fit.at):
+    for (J, r, w), (edge, _) in zip(fit.parts, fit.at, strict=True):
         order = np.argsort(edge, kind="stable")
         for part in np.split(order, np.flatnonzero(np.diff(edge[order])) + 1):
             if len(part):
@@ -171,9 +178,12 @@ def _covariance(fit):
 
 
 def _lens_covariance(fit, rig, T, scale, lens_px):
-    """What the cameras' own error adds: principal points known to lens_px, focal lengths so that the corners are, each camera by itself."""
+    """What the cameras' own error adds, each camera by itself.
+
+    Principal points are known to lens_px, focal lengths so well that the picture's corners are.
+    """
     inverse, total = np.linalg.pinv(fit.H), 0.0
-    for side, (s, (J, r, w), (p, normal)) in enumerate(zip(rig.sides, fit.parts, fit.where)):
+    for side, (s, (J, _, w), (p, normal)) in enumerate(zip(rig.sides, fit.parts, fit.where, strict=True)):
         q = project(rig, side, T, scale, p)
         K = s.camera.K
         for change in (np.array([1.0, 0]), np.array([0, 1.0]), (q - K[:2, 2]) / np.hypot(K[0, 2], K[1, 2])):
@@ -245,7 +255,10 @@ def _near(a, b, depth):
 
 
 def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px):
-    """The pose refined, from the finest start to coarser ones until the photographs support one without doubt; else that which they support most."""
+    """A recognition.Pose refined, from the finest start to coarser ones, until the photographs support the result.
+
+    If they support none without doubt, the result that they support most.
+    """
     start = point([], pose.linear, None, step="linear")
     prior = (np.linalg.inv(9 * pose.covariance), pose.T, pose.scale)
     if method == "paper":
@@ -285,9 +298,10 @@ def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px
 
 
 def _each_alone(model, edges, rig, pyramids, T, scale, schedule, trace):
-    """Where the relative pose was estimated from the photographs, up to scale, the model knows it better: each camera goes to its own edges.
+    """Each camera to its own edges: for a relative pose that was estimated from the photographs, up to scale.
 
-    Returns the rig as it was found, the left pose, the scale (m per baseline), the left camera's fit and the rig of that fit.
+    The model knows it better. Returns the rig as it was found, the left pose, the scale (m per baseline), the left
+    camera's fit and the rig of that fit.
     """
     poses, fits, rigs = [], [], []
     for side, camera in enumerate(rig.cameras(T, scale)):

@@ -13,7 +13,10 @@ from lib.vision.refinement.edges import draw
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One photograph of the pair. camera : in the pair's frame; photograph : image.Photograph; regions : (H, W) int labels, or None"""
+    """One photograph of the pair.
+
+    camera : in the pair's frame; photograph : image.Photograph; regions : (H, W) int labels, or None
+    """
 
     camera: Camera
     photograph: object
@@ -25,15 +28,20 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """The pair, fixed: its sides, T_side_left of each (the translation in units of the facets), and how far away the model is seen, m."""
+    """The pair, fixed.
+
+    sides : of Side; relative : T_side_left of each, the translation in units of the facets; depth : m, how far away the
+    model is seen
+    """
 
     sides: tuple
     relative: tuple
     depth: float
 
     def cameras(self, T, scale):
+        """Posed by T (4, 4), world to the left camera. scale : m per unit of the facets"""
         made = []
-        for side, D in zip(self.sides, self.relative):
+        for side, D in zip(self.sides, self.relative, strict=True):
             D = D.copy()
             D[:3, 3] *= scale
             made.append(Camera(side.camera.K, side.camera.width, side.camera.height, D @ T))
@@ -41,7 +49,7 @@ class Rig:
 
 
 def project(rig, side, T, scale, p, jacobian=False, free=False):
-    """Pixels (N, 2) of world points and, wanted, their derivatives (N, 2, 6 or 7)."""
+    """Pixels (N, 2) of world points p (N, 3) m and, if asked for, their derivatives (N, 2, 6), or 7 with the scale."""
     K, D = rig.sides[side].camera.K, rig.relative[side]
     centre = -T[:3, :3].T @ T[:3, 3]
     x_left = (p - centre) @ T[:3, :3].T
@@ -65,6 +73,7 @@ def project(rig, side, T, scale, p, jacobian=False, free=False):
 
 
 def step(T, scale, delta):
+    """(T, scale) after a step (6,) of (omega, tau) along the left camera's axes, or (7,) with ln scale."""
     return moved(T, delta), scale * math.exp(min(max(delta[6], -0.5), 0.5)) if len(delta) == 7 else scale
 
 
@@ -91,6 +100,9 @@ def point(trace, T, error_px, step="refined", **more):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
+    """The last solve. H : normal matrix; per side parts : (J, residuals, robust weights), at : (edge of each sample,
+    samples in all), where : (p, normal)"""
+
     H: np.ndarray
     parts: list
     at: list
@@ -98,12 +110,13 @@ class Fit:
 
 
 def rms(parts):
+    """px, by the robust weights. parts : [(J, residuals, robust weights)]"""
     total = sum((w * r**2).sum() for _, r, w in parts)
     return float(math.sqrt(total / max(sum(w.sum() for _, _, w in parts), 1e-12)))
 
 
 def view(rig):
-    """(5, 2) px, (5, 3) m: corners and middle of the left picture, and points there at the scene's depth, left camera's axes."""
+    """(5, 2) px: corners and middle of the left picture; (5, 3) m: points there at the scene's depth, its axes."""
     camera = rig.sides[0].camera
     W, H = camera.width - 1, camera.height - 1
     q = np.array([[0, 0], [W, 0], [0, H], [W, H], [W / 2, H / 2]], float)
@@ -118,6 +131,7 @@ def moved_px(rig, old, T, scale):
 
 
 def rig_of(sides, depth):
+    """The Rig of the left Side and the right one, if there is one. depth : m"""
     inverse = np.linalg.inv(sides[0].camera.T_cam_world)
     return Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides), depth)
 
