@@ -38,8 +38,8 @@ def main(opt):
             import mapbox_earcut  # noqa: F401
 
             from lib.core import artefact
-            from lib.vision import matching
-            from lib.vision.facets import facets_file
+            from lib.vision import facets_file, matching
+            from lib.vision.facets import outlines
             from lib.vision.facets import planes as facets
             from lib.vision.matches import read_matched_labels
         with report.excluded("compile"):
@@ -61,24 +61,24 @@ def main(opt):
                 pair, labels, values, left, right, progress=stage.Bar("facets"), trace=trace
             )
 
-        report["facets"], report["refused"] = len(found), facets_file.reasons(refused)
+        report["facets"], report["refused"] = len(found), outlines.reasons(refused)
         report["side_sigma_px"] = side_sigma_px
         report["covered"] = matching.share(labels[0], [x.left_label for x in found])
         report["unit"] = unit
         if not found:
             report.status = "nothing reconstructed"
-            why = "; ".join(f"{n} x {reason}" for reason, n in facets_file.reasons(refused).items())
+            why = "; ".join(f"{n} x {reason}" for reason, n in outlines.reasons(refused).items())
             report.warning(
                 f"{opt.matches}: none of its {len(left)} pairs gives a plane: {why}"
                 if len(left)
                 else f"{opt.matches}: no matched regions, so no planes"
             )
         else:
-            report.error("border_rms", facets_file.median_rms(found), unit="px", against="right borders")
-            report.error("distance_sigma", facets_file.median_sigma(found), unit="1", against="its own covariance")
+            report.error("border_rms", outlines.median_rms(found), unit="px", against="right borders")
+            report.error("distance_sigma", outlines.median_sigma(found), unit="1", against="its own covariance")
         with artefact.writing_all(opt.facets, opt.mesh) as (partial, mesh):
             artefact.write_json(partial, facets_file.describe(found, refused, unit))
-            facets_file.write_ply(mesh, found, facets_file.colours(labels[0], values[0], found))
+            outlines.write_ply(mesh, found, outlines.colours(labels[0], values[0], found))
 
 
 if __name__ == "__main__":

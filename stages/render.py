@@ -68,7 +68,7 @@ def main(opt):
         for text in subject.warnings:
             report.warning(text)
         with report.excluded("compile"):
-            rendering.warm_up(subject.channels)
+            rendering.warm_up(subject.channels, shiny=subject.appearance.finish is not None)
 
         quality = subjects.Quality(opt.rays, opt.shadow_rays, opt.contact, opt.tolerance, opt.lobe_rays)
         picture = rendering.render(subject, quality, timing=report.timing, trace=report.trace)

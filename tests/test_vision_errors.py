@@ -11,7 +11,8 @@ from lib.given import cameras
 from lib.given import model as models
 from lib.verdict import vision_errors
 from lib.verdict.answers import Answers
-from lib.verdict.records import Facet, Plane, Pose
+from lib.verdict.records import Pose
+from lib.vision.facets_file import Facet, Plane
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -103,7 +104,7 @@ def test_true_planes_have_no_error_and_moved_ones_the_error_of_the_move(office):
             n, d = -n, -d
         v = camera.directions(np.column_stack([x, y]))
         p = v / (v @ (n / d))[:, None]
-        facets.append(Facet(label, Plane(n, d), p[:: max(1, len(p) // 5)], covariance=np.eye(3) * 1e-12))
+        facets.append(Facet(label, plane=Plane(n, d), polygon=p[:: max(1, len(p) // 5)], covariance=np.eye(3) * 1e-12))
     assert len(facets) >= 2
     found = values(vision_errors.planes(facets, T, model, buffer.facet, buffer.facet))
     assert (
@@ -128,7 +129,7 @@ def test_the_disparity_of_a_frontal_plane():
     right = cameras.Camera(K, 100, 80, cameras.matrix_from_rt([0, 0, 0, -0.1, 0, 0]))
     regions = np.zeros((80, 100), int)
     regions[:, :50] = 3
-    facet = Facet(3, Plane((0, 0, -1.0), -2.0))
+    facet = Facet(3, plane=Plane((0, 0, -1.0), -2.0))
     true = np.full((80, 100), 25.5)
     true[0] = np.nan
     found = values(vision_errors.disparity([facet], left, right, regions, true))

@@ -12,11 +12,12 @@ from lib.given import model as models
 from lib.verdict import records
 from lib.verdict.page import build, vision
 from lib.verdict.page.parts import Parts
+from lib.vision import facets_file
 from tests.helpers.html import sane
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = {
-    "facets": records.Facets,
+    "facets": facets_file.Facets,
     "pose": records.Pose,
     "calibration": records.Calibration,
     "orientation": records.Orientation,

@@ -53,11 +53,18 @@ def radiosities(surface: Surface, appearance: Appearance, lamp_groups, irradianc
 
 
 def lighting(
-    surface: Surface, factors: FormFactors, appearance: Appearance, *, transport: Transport | None = None, timing=None
+    surface: Surface,
+    factors: FormFactors,
+    appearance: Appearance,
+    *,
+    transport: Transport | None = None,
+    n_texels=texels.TEXELS,
+    timing=None,
 ) -> Lighting:
     """The balance of the patches, and the light map that rays see.
 
     transport : the ways of light past mirrors and glossy surfaces; traced here if there are such and it is not given
+    n_texels : about so many in the light map
     timing : context manager by label
     """
     timing = timing or (lambda label: contextlib.nullcontext())
@@ -87,7 +94,10 @@ def lighting(
             every, E = ways.every, ways.E_every
     with timing("texture"):
         rho_facet = appearance.rho[surface.group]
-        shown = texels.light_map(surface, factors.mesh, every, E, indirect, factors.rows.exposed, rho_facet, ways=ways)
+        exposed = factors.rows.exposed
+        shown = texels.light_map(
+            surface, factors.mesh, every, E, indirect, exposed, rho_facet, texels=n_texels, ways=ways
+        )
     return Lighting(surface, appearance, numbers, light, every, E, shown, ways)
 
 

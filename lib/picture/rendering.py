@@ -20,6 +20,7 @@ from lib.given.transfer import Transfer
 from lib.given.view import View
 from lib.light import adapt, form_factors, lamps
 from lib.light.balance import Balance
+from lib.light.chains import GLOSSY, MIRROR, Finish
 from lib.light.factors_file import FormFactors
 from lib.light.small_room import small_room
 from lib.light.surface import side_normals
@@ -55,6 +56,7 @@ def render(subject: Subject, quality: Quality = STANDARD, *, timing=None, trace=
         subject.factors,
         subject.appearance,
         transport=subject.traced and subject.traced.transport,
+        n_texels=quality.n_texels,
         timing=timing,
     )
     with timing("direct"):
@@ -136,27 +138,38 @@ def compose(shape, seen: Pixels, B, pieces: Fragments, B_fragment):
     return picture
 
 
-def warm_up(channels):
-    """Load or compile every kernel of a rendering."""
-    surface = small_room("wall", "wall", "wall", "wall", "lamp", "wall")
+def warm_up(channels, shiny=False):
+    """Load or compile every kernel of a rendering.
+
+    shiny : those of mirrors and lobes, too
+    """
+    surface = small_room("wall", *(("mirror", "gloss") if shiny else ("wall", "wall")), "wall", "lamp", "wall")
     emitters = lamps.emitters(surface, ["lamp"])
     mesh = adapt.build(surface, patches=20, max_level=0, contrast=1.0, emitters=emitters)
     factor = lamps.direct(surface, emitters, mesh.centre, side_normals(surface), mesh.side, 1, n_samples=4)
-    rows, groups = form_factors.rays(surface, mesh, n_rays=16), ("wall", "lamp")
-    factors = FormFactors(mesh, rows, factor, ("lamp",), surface.group[mesh.side // 2], groups, np.ones(2), 1.0)
+    rows, groups = form_factors.rays(surface, mesh, n_rays=16), surface.groups
+    area = np.ones(len(groups))
+    factors = FormFactors(mesh, rows, factor, ("lamp",), surface.group[mesh.side // 2], groups, area, 1.0)
     T = np.array([[1, 0, 0, -0.5], [0, 0, -1, 0.5], [0, 1, 0, 1.0], [0, 0, 0, 1]])
-    camera = Camera(np.array([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), 21, 21, T)
-    origin = np.broadcast_to(surface.local.points(camera.centre), (441, 3))
+    camera = Camera(np.array([[6.0, 0, 3], [0, 6, 3], [0, 0, 1]]), 7, 7, T)
+    origin = np.broadcast_to(surface.local.points(camera.centre), (49, 3))
     rays = np.hstack([origin, camera.rays(camera.pixels().reshape(-1, 2))]).astype(np.float32)
     triangle, _ = surface.caster.closest(rays)
-    facet = np.where(triangle >= 0, surface.facet[triangle], -1).reshape(21, 21).astype(np.int32)
+    facet = np.where(triangle >= 0, surface.facet[triangle], -1).reshape(7, 7).astype(np.int32)
     coverage = {
         "pixel": np.arange(1, dtype=np.int32),
         "start": np.array([0, 1], np.int32),
         "facet": facet[0, :1],
         "count": np.array([64], np.uint8),
     }
-    photograph = Photograph(np.full((21, 21, channels), 0.5), 8, False, channels)
-    look = Appearance(np.full((2, channels), 0.5), np.ones((1, channels)))
+    photograph = Photograph(np.full((7, 7, channels), 0.5), 8, False, channels)
+    look = Appearance(np.full((len(groups), channels), 0.5), np.ones((1, channels)))
+    if shiny:
+        alpha, tangent = np.array([[0, 0], [0.2, 0.1]]), np.array([[0, 0, 0], [0, 0, 1.0]])
+        finish = Finish((1, 2), np.array([MIRROR, GLOSSY]), alpha, tangent)
+        look = Appearance(look.rho, look.E, finish, np.full((2, channels), 0.5))
     view = View(camera, photograph=photograph, facet=facet)
-    render(Subject(view, surface, factors, coverage, look, Transfer("linear")), Quality(n_rays=16))
+    render(
+        Subject(view, surface, factors, coverage, look, Transfer("linear")),
+        Quality(n_rays=16, lobe_rays=4, n_texels=200),
+    )

@@ -18,6 +18,7 @@ from lib.light.specular_file import Traced
 from lib.light.surface import Surface
 from lib.picture import appearance, display
 from lib.picture.appearance import Appearance
+from lib.picture.texels import TEXELS
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +128,7 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
 class Quality:
     """n_rays : gathering rays at each place;  shadow_rays : per pixel and lamp in a penumbra
     contact, tolerance : see indirect.gather;  lobe_rays : per pixel of a glossy surface
+    n_texels : about so many in the light map
     """
 
     n_rays: int = 256
@@ -134,6 +136,7 @@ class Quality:
     contact: float = 0.35
     tolerance: float = 0.01
     lobe_rays: int = 64
+    n_texels: int = TEXELS
 
 
 STANDARD = Quality()

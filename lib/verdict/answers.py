@@ -15,6 +15,7 @@ from lib.core import record
 from lib.core.stage import BadInput
 from lib.given import cameras, image, lenses, materials, model
 from lib.verdict import records
+from lib.vision import facets_file
 
 READERS = {
     "materials": materials.read,
@@ -26,7 +27,7 @@ READERS = {
     "calibration": lambda path: record.read(path, records.Calibration),
     **dict.fromkeys(("lens", "lens_right"), lenses.read),
     **dict.fromkeys(("camera", "camera_right", "posed"), cameras.read_cameramodel),
-    "facets": lambda path: record.read(path, records.Facets),
+    "facets": lambda path: record.read(path, facets_file.Facets),
     "pose": lambda path: record.read(path, records.Pose),
 }
 # of the vision half: read only where truth says something of it
@@ -72,7 +73,7 @@ class Answers:
     camera_right: cameras.Camera | None = None
     posed: cameras.Camera | None = None
     regions: np.ndarray | None = None
-    facets: records.Facets | None = None
+    facets: facets_file.Facets | None = None
     pose: records.Pose | None = None
     disparity: np.ndarray | None = None
 

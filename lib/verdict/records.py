@@ -80,33 +80,6 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Plane:
-    """n . x = d with |n| = 1; n points towards the camera, so d <= 0."""
-
-    n: tuple | None = told(numbers(3), needed="three numbers")
-    d: float | None = told(number(), needed="a number")
-
-
-@dataclass(frozen=True)
-class Facet:
-    """polygon : (k, 3) in the left camera's frame;  covariance : (3, 3) of m = n / d"""
-
-    left_label: int | None = told(number(), needed="a label")
-    plane: Plane = part(Plane)
-    polygon: tuple | None = told(matrix(columns=3), needed="a list of points")
-    overlap: float | None = told(number())
-    covariance: tuple | None = told(matrix(3, 3))
-
-
-@dataclass(frozen=True)
-class Facets:
-    """facets.json. unit : "m" or "baseline" """
-
-    unit: str | None = told(word())
-    facets: list = list_of(Facet, needed="a list of facets")
-
-
-@dataclass(frozen=True)
 class Uncertainty:
     """One sigma of a projected point at distance_m. sigma_px : over the picture, None where it is not known
 

@@ -118,7 +118,7 @@ def pair(T, T_true):
 def planes(facets, T_true, model, facet_image, regions, scale=1.0):
     """Reconstructed planes against those of the model's facets that their regions show.
 
-    facets : [records.Facet], in the left frame     T_true : (4, 4) world to left camera
+    facets : [facets_file.Facet], in the left frame     T_true : (4, 4) world to left camera
     facet_image : (H, W) model facet + 1 per pixel  regions : (H, W) left labels     scale : metres per unit of facets
     """
     deviations = []

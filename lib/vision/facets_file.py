@@ -2,6 +2,7 @@
 
     facets = record.read("facets.json", Facets)         # what compare and the page show
     scene = read_scene("facets.json")                   # what recognition searches: every number checked
+    artefact.write_json("facets.json", describe(found, refused, unit))
 
 data/SCENE.md, section 4, describes the file.
 """
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lib.core import record
+from lib.core import artefact, record
 from lib.core.record import list_of, matrix, number, numbers, part, told, word
 from lib.core.stage import BadInput
 
@@ -41,12 +42,22 @@ class Facet:
 
 
 @dataclass(frozen=True)
+class Refused:
+    """A matched pair that gave no plane, and why."""
+
+    left_label: int | None = told(number())
+    right_label: int | None = told(number())
+    why: str | None = told(word())
+
+
+@dataclass(frozen=True)
 class Facets:
     """The file. frame : "left";  unit : "m" or "baseline" """
 
     frame: str | None = told(word())
     unit: str | None = told(word())
     facets: list = list_of(Facet, needed="a list of facets")
+    refused: list = list_of(Refused)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +89,25 @@ class SceneFacets:
     def distance(self):
         """(N,) unit: of the planes from the camera."""
         return 1 / np.linalg.norm(self.m, axis=1)
+
+
+def describe(found, refused, unit) -> dict:
+    """The content of the file. found, refused : of facets.reconstruct"""
+    facets = [
+        Facet(x.left_label, x.right_label, Plane(*x.plane), x.polygon, x.overlap, x.covariance, x.rms_px) for x in found
+    ]
+    return record.plain(Facets("left", unit, facets, [Refused(x.left_label, x.right_label, x.why) for x in refused]))
+
+
+def unit_of(orientation):
+    """ "m", or "baseline" where orientation.json (path or None) says so."""
+    if orientation is None:
+        return "m"
+    content = artefact.read_json(orientation)
+    unit = content.get("unit", "m") if isinstance(content, dict) else None
+    if unit not in UNITS:
+        raise BadInput(f"{orientation}: unit: {unit!r} is neither 'm' nor 'baseline'")
+    return unit
 
 
 def read_scene(path) -> SceneFacets:

@@ -13,6 +13,7 @@ from lib.given import cameras, image, materials, model
 from lib.verdict import records, stage_reports
 from lib.verdict.comparison import Comparison
 from lib.verdict.page.vision import SIDES, Vision, see
+from lib.vision import facets_file
 from lib.vision.matches import read_matches
 
 LEFT_OUT = re.compile(r"^#   without ([\w-]+): (.*)$", re.MULTILINE)  # in the head of plan.mk
@@ -125,7 +126,7 @@ def _read_vision(files):
         cameras=pair("camera", cameras.read_cameramodel),
         matches=read_matches(files["matches"]) if files["matches"] else None,
         model=model.load(files["model"]) if files["model"] and files["pose"] else None,
-        facets=of("facets", records.Facets),
+        facets=of("facets", facets_file.Facets),
         pose=of("pose", records.Pose),
         calibration=of("calibration", records.Calibration),
         orientation=of("orientation", records.Orientation),

@@ -15,6 +15,7 @@ from lib.given.cameras import matrix_from_rt
 from lib.verdict import records
 from lib.verdict.page.html import css, finite, number, plural, render, sentence
 from lib.verdict.page.pictures import colours, labels_uri, on_scale, photo_uri, smaller, uri
+from lib.vision import facets_file
 
 SIDES = ("left", "right")
 UNITS = {"m": "m", "baseline": "baselines"}
@@ -40,7 +41,7 @@ class Vision:
     cameras: dict = field(default_factory=dict)
     wires: list = field(default_factory=list)
     matches: list | None = None
-    facets: records.Facets | None = None
+    facets: facets_file.Facets | None = None
     pose: records.Pose | None = None
     calibration: records.Calibration | None = None
     orientation: records.Orientation | None = None
@@ -258,7 +259,7 @@ def project(camera, left, points):
     return camera.project(np.asarray(points, float) @ T[:3, :3].T + T[:3, 3])
 
 
-def _facet_row(f: records.Facet, name):
+def _facet_row(f: facets_file.Facet, name):
     centre = np.mean(np.asarray(f.polygon, float), axis=0)
     ray = centre / centre[2] if centre[2] else centre
     sigma = None

@@ -23,8 +23,8 @@ from lib.vision import matching
 from lib.vision.facets import uncertainty
 from lib.vision.facets.borders import Borders, borders, noise
 from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, parts
-from lib.vision.facets.facets_file import outline
 from lib.vision.facets.intensities import smoothed_levels, texture_plane
+from lib.vision.facets.outlines import outline
 
 LEAST_OVERLAP = 0.6
 LEAST_ROWS = 6  # ends of rows, for a plane to start from

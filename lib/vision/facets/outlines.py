@@ -1,9 +1,7 @@
-"""facets.json and facets.ply: what was found, in the frame and unit of the left camera."""
+"""Outlines of facets on their planes, in the left camera's frame and unit; facets.ply; what the report says of them."""
 
 import numpy as np
 
-from lib.core import artefact
-from lib.core.stage import BadInput
 from lib.vision.facets.borders_kernels import WEAK
 
 
@@ -62,31 +60,7 @@ def _corners(ring, q):
     return corner
 
 
-# -- files
-
-
-def describe(found, refused, unit):
-    """The content of facets.json."""
-    facets = []
-    for x in found:
-        n, d = x.plane
-        facets.append(
-            {
-                "left_label": x.left_label,
-                "right_label": x.right_label,
-                "plane": {"n": n, "d": d},
-                "polygon": x.polygon,
-                "overlap": x.overlap,
-                "covariance": x.covariance,
-                "rms_px": x.rms_px,
-            }
-        )
-    return {
-        "frame": "left",
-        "unit": unit,
-        "facets": facets,
-        "refused": [{"left_label": x.left_label, "right_label": x.right_label, "why": x.why} for x in refused],
-    }
+# -- what is shown of them
 
 
 def write_ply(path, found, colours):
@@ -111,17 +85,6 @@ def write_ply(path, found, colours):
             f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
         )
         file.write("".join(p + "\n" for p in points) + "".join(f"3 {a} {b} {c}\n" for a, b, c in faces))
-
-
-def unit_of(orientation):
-    """ "m", or "baseline" where orientation.json (path or None) says so."""
-    if orientation is None:
-        return "m"
-    content = artefact.read_json(orientation)
-    unit = content.get("unit", "m") if isinstance(content, dict) else None
-    if unit not in ("m", "baseline"):
-        raise BadInput(f"{orientation}: unit: {unit!r} is neither 'm' nor 'baseline'")
-    return unit
 
 
 def reasons(refused):
