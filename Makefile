@@ -44,7 +44,8 @@ plan: setup
 
 # The loop while one works; all that must pass; what takes minutes each.
 check: lint
-	$(PYTHON) -m pytest -m 'not scene and not outside and not slow'
+	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal \
+	  -m 'not scene and not outside and not slow'
 
 test: lint
 	$(PYTHON) -m pytest -m 'not slow'

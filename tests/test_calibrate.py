@@ -45,6 +45,7 @@ def degrees_between(rt_a, rt_b):
 # ---- corners ----
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("seed", range(4))
 def test_corners_of_rendered_boards(seed):
     """Squares of 9 to 45 px, tilted, through a distorting lens: 0.04 px RMS, the same corner first in both pictures."""
@@ -66,6 +67,7 @@ def test_corners_of_rendered_boards(seed):
     assert 0.003 < np.sqrt((error**2).mean()) < 0.04 and np.abs(error).max() < 0.2
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("corners", [(9, 6), (7, 7), (8, 6)])
 def test_one_corner_has_one_place_in_both_pictures(corners):
     """However each picture is numbered. The colours tell 9 x 6. 7 x 7 and 8 x 6 look the same after a turn: the
@@ -79,6 +81,7 @@ def test_one_corner_has_one_place_in_both_pictures(corners):
         assert np.abs(boards.same_order(q[0], numbered, *greys) - q[1]).max() < 1e-9
 
 
+@pytest.mark.scene
 def test_the_window_stays_within_the_squares(root):
     """The published 0.39 px RMS comes from corner windows of 23 px, wider than the 22 px squares of view left02.
 
@@ -179,6 +182,7 @@ def calibrate(folder, out, board, *more):
     ]
 
 
+@pytest.mark.outside
 @needs_mrcal
 def test_thirteen_real_pairs(root, run, tmp_path):
     """Focal length within 1 % of the published 535.9 px, left residuals at most 0.25 px, baseline 83.2 mm within 1 %.
@@ -234,6 +238,7 @@ def test_thirteen_real_pairs(root, run, tmp_path):
     assert abs(json.loads((again / "calibration.json").read_text())["cameras"]["left"]["fx"] - left["fx"]) < 0.01
 
 
+@pytest.mark.outside
 @needs_mrcal
 def test_real_fisheye(root, tmp_path):
     """Every ninth view of mrcal's own corners (6016x4016, 100 corners each): its focal length within 0.5 %.
@@ -261,6 +266,7 @@ def test_real_fisheye(root, tmp_path):
     assert "both cameras stand at one place" in answer["verdict"]
 
 
+@pytest.mark.scene
 @needs_mrcal
 def test_rendered_boards(root, run, tmp_path):
     """office-stereo, boards by another renderer: lenses and pose against truth, at their own sigma, in 0.1 px."""
@@ -295,6 +301,7 @@ def test_rendered_boards(root, run, tmp_path):
 # ---- calibration: simulated corners, and the edges ----
 
 
+@pytest.mark.scene
 @needs_mrcal
 def test_sigmas_hold(tmp_path):
     """Calibrations of one rig from other boards and noise: baseline and projection are off by their sigmas."""
@@ -343,6 +350,7 @@ def _after_best_motion(truth, ours, q, distance):
     return error(least_squares(lambda rt: error(rt).ravel(), np.zeros(6), x_scale=1e-3).x)
 
 
+@pytest.mark.scene
 @needs_mrcal
 def test_parallel_boards_leave_the_focal_length_open(tmp_path):
     """Fronto-parallel boards at several distances: small residuals, and a focal length that is wrong by any amount.
@@ -357,6 +365,7 @@ def test_parallel_boards_leave_the_focal_length_open(tmp_path):
     assert answer["verdict"].startswith(("poor", "unknown")) and "too few tilted boards" in answer["verdict"]
 
 
+@pytest.mark.scene
 @needs_mrcal
 def test_a_lens_model_that_cannot_follow_the_lens(tmp_path):
     """A pinhole fitted to a barrel: half the boards agree with the other half, and both are wrong.
@@ -390,6 +399,7 @@ def test_few_boards(tmp_path):
         solved(one, tmp_path / "one")
 
 
+@pytest.mark.scene
 @needs_mrcal
 def test_boards_that_one_camera_misses(tmp_path):
     """They still tell the other camera's lens. Where no shot shows the board to both, the relative pose is unknown."""
@@ -408,6 +418,7 @@ def test_boards_that_one_camera_misses(tmp_path):
         solved(found, tmp_path / "none")
 
 
+@pytest.mark.scene
 @needs_mrcal
 def test_outliers_are_found(tmp_path):
     random = np.random.default_rng(4)
@@ -505,6 +516,7 @@ def test_lens_against_opencv(model):
     assert np.abs(lens.project(p) - expected).max() < 1e-9
 
 
+@pytest.mark.scene
 @needs_mrcal
 @pytest.mark.parametrize("model", LENSES)
 def test_lens_against_mrcal(model, tmp_path, monkeypatch):
@@ -580,6 +592,7 @@ def test_fisheye_is_cropped():
         lenses.pinhole(made("LENSMODEL_STEREOGRAPHIC", K=[200.0, 200.0, -5.0, 239.5]))
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
 def test_undistorted_is_what_a_pinhole_sees(run, tmp_path, suffix):
     """A board rendered through the lens, undistorted, against one rendered through the pinhole. EXR: light above 1."""
@@ -617,6 +630,7 @@ def test_undistorted_is_what_a_pinhole_sees(run, tmp_path, suffix):
     assert np.sqrt(((values - expected) ** 2).mean()) < 0.02 and np.median(np.abs(values - expected)) < 0.003
 
 
+@pytest.mark.scene
 def test_undistort_refuses(refuses, root, tmp_path):
     base = [
         "stages/undistort.py",
@@ -692,6 +706,7 @@ def off(pose, rt):
     return turn / np.sqrt(np.trace(pose.covariance[:3, :3])), direction / np.sqrt(np.trace(pose.covariance[3:, 3:]))
 
 
+@pytest.mark.scene
 def test_relative_pose():
     """A fifth of the matches wrong: found to its own sigma, which is small. |t| = 1; the covariance has rank 5."""
     z = []
@@ -705,6 +720,7 @@ def test_relative_pose():
     assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.8 and np.max(z) < 4
 
 
+@pytest.mark.scene
 def test_baseline_towards_zero():
     """The direction's sigma grows as the baseline shrinks. At last the pair is refused, for lack of parallax."""
     sigma = []
@@ -726,6 +742,7 @@ def test_too_few_matches(n, wrong):
         orientation.relative_pose(PAIR, PAIR, *features(np.random.default_rng(0), RT, n=max(n, 1), wrong=wrong))
 
 
+@pytest.mark.scene
 def test_one_plane():
     """A plane has two explanations. One of the two that are given is the truth."""
     for seed in range(4):
@@ -739,6 +756,7 @@ def test_one_plane():
         assert min(degrees_between(c, RT) for c in candidates) < 1.5
 
 
+@pytest.mark.outside
 def test_real_pair(root, run, refuses, tmp_path):
     """Photographs, undistorted and oriented, against the pose that the thirteen boards tell (our own calibration)."""
     left = lenses.Lens(
@@ -854,6 +872,7 @@ def test_bent_edges_tell_the_distortion(root):
     assert abs(np.exp(log_f) * 600 / (1.1 * f) - 1) < 0.05 and abs(k1 + 0.15) < 0.03
 
 
+@pytest.mark.scene
 def test_epipolar_focal_length_and_where_it_is_blind():
     """A general motion tells f; axes that meet at equal distances do not (Sturm 1999), and the sigma knows."""
     random = np.random.default_rng(0)

@@ -107,6 +107,7 @@ def test_the_fingerprint_sees_an_edit_in_another_file(tmp_path, monkeypatch, imp
         compiled.imported.cache_clear()
 
 
+@pytest.mark.scene
 def test_what_an_edit_compiles_again(tmp_path):
     """An edit in another file is noticed: numba itself would go on with the old constant and the old function.
 

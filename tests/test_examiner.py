@@ -139,6 +139,7 @@ def make(run, tmp_path):
 KNOWN = "lamps: {lamp: [3.0, 2.8, 2.5]}"
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize(
     "yaml, options, scale_by",
     [
@@ -225,6 +226,7 @@ def test_refused_before_anything_is_written(refuses, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.scene
 def test_given_materials_are_rendered_and_nothing_is_fitted(make, tmp_path):
     folder = scene(tmp_path / "data" / "s", KNOWN, display=lambda B: B ** (1 / 2.2))
     (folder / "scene.yaml").write_text(KNOWN + "\ngoals: [materials.json, rendered.png]\n")

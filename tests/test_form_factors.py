@@ -251,6 +251,7 @@ BOUND = {
 PATCHES = {"analytic": 60, "rays": 60, "hemicube": 960}
 
 
+@pytest.mark.scene
 @every_method
 @pytest.mark.parametrize("P, Q, expected", CLOSED)
 def test_closed_forms_by_every_method(tmp_path, method, P, Q, expected):
@@ -672,6 +673,7 @@ def test_lamps_a_million_apart_in_size(tmp_path):
 # ---- subdivision ----
 
 
+@pytest.mark.scene
 def test_adapted_patches_are_worth_twice_as_many():
     """`office`, against 14,000 patches: adapted patches are as good as many more uniform ones.
 

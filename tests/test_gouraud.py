@@ -75,6 +75,7 @@ def spread(made, name, *more):
     return out, json.loads((made / f"{name}.json").read_text())
 
 
+@pytest.mark.scene
 def test_every_solver_draws_the_same_end(made):
     from lib.light import factors_file
     from lib.picture import appearance, gouraud
@@ -96,6 +97,7 @@ def sheet(made):
     return spread(made, "progressive", "--method", "progressive")
 
 
+@pytest.mark.scene
 def test_the_stage_writes_its_sheet(sheet):
     import cv2
 

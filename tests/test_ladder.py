@@ -154,6 +154,7 @@ def test_a_black_photograph_says_nothing(room):
     assert all(entry["rho_d"] is None and not entry["identified"] for entry in found["groups"].values())
 
 
+@pytest.mark.scene
 def test_a_group_of_ten_pixels_is_not_judged(tmp_path):
     """A mirror so small that it fills hardly a tile stays diffuse, and the others hold."""
     tiny = rooms.panel("picture", (0, 1.3, 1.1), (0, 1.6, 1.1), (0, 1.6, 1.4), (0, 1.3, 1.4))
@@ -167,6 +168,7 @@ def test_a_group_of_ten_pixels_is_not_judged(tmp_path):
 # -- mirrors
 
 
+@pytest.mark.scene
 def test_a_perfect_mirror(room):
     """rho_s is 1, to the last bit, and the wall that only the mirror shows is found."""
     found, report = room.found({"picture": ("mirror", 1.0)})
@@ -179,6 +181,7 @@ def test_a_perfect_mirror(room):
     agree(found)
 
 
+@pytest.mark.scene
 def test_a_grey_mirror_of_a_one_channel_photograph(room):
     found, _ = room.found({"picture": ("mirror", 0.8)})
     assert kinds(found) == {"picture": "coloured_mirror"}
@@ -187,6 +190,7 @@ def test_a_grey_mirror_of_a_one_channel_photograph(room):
     agree(found)
 
 
+@pytest.mark.scene
 def test_a_coloured_mirror_and_an_unknown_gamma(room):
     """Three channels, three rho_s; gamma is found with them."""
     colour = np.array([1, 0.9, 0.8])
@@ -212,6 +216,7 @@ def test_a_mirror_at_three_percent_noise(room):
     agree(found)
 
 
+@pytest.mark.scene
 def test_a_mirror_fills_the_picture(tmp_path):
     """Nothing is seen but by the mirror, and all of it is found: five walls and a box."""
     inside = rooms.room() | rooms.LAMP | rooms.solid("box", 2.0, 1.7, 0, 2.8, 2.3, 0.8)
@@ -243,6 +248,7 @@ def test_two_facing_mirrors(tmp_path, rho_s):
 # -- gloss
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize(
     "alpha, rho_d, rho_s",
     [pytest.param(0.03, 0.2, 0.3, marks=takes_long), (0.1, 0.2, 0.1), pytest.param(0.4, 0.2, 0.3, marks=takes_long)],
@@ -269,6 +275,7 @@ def test_a_glossy_picture_at_three_percent_noise(room):
     check_glossy(found, 0.1, 0.2, 0.1)
 
 
+@pytest.mark.scene
 def test_a_glossy_group_of_two_hundred_pixels(high):
     assert 180 <= high.pixels("picture").sum() <= 260
     found, _ = high.found({"picture": (0.1, 0.2, 0.1)})
@@ -290,6 +297,7 @@ def test_a_brushed_picture(room):
     agree(found)
 
 
+@pytest.mark.scene
 def test_a_printed_pattern_is_a_texture(room):
     """What looks neither like the room nor like the lamp is no lobe.
 
@@ -309,6 +317,7 @@ def test_a_printed_pattern_is_a_texture(room):
 # -- at the edge
 
 
+@pytest.mark.scene
 def test_a_glossy_floor_at_a_grazing_view(grazing):
     """Seen at 5 to 15 degrees: the walls are mirrored in it more than the lamp."""
     found, _ = grazing.found({"bottom": (0.15, 0.3, 0.3)})
@@ -325,6 +334,7 @@ def test_nobody_climbs_for_the_light_of_a_sharp_floor(grazing):
     assert kinds(found) == {"bottom": "glossy"}
 
 
+@pytest.mark.scene
 @pytest.mark.xfail(
     strict=True,
     reason="an error below the threshold (0.010 here) is in nobody's sigma: the ceiling, which that floor lights, "
@@ -337,6 +347,7 @@ def test_what_the_threshold_lets_pass_is_in_sigma(grazing):
     agree(found, but=("bottom",))
 
 
+@pytest.mark.scene
 def test_a_highlight_that_is_wholly_saturated(high):
     """All of the group is white: nothing is known of it, nothing made up, and the others hold."""
     found, _ = high.found({"picture": (0.2, 0.1, 0.9)}, E=(30.0,))
@@ -345,6 +356,7 @@ def test_a_highlight_that_is_wholly_saturated(high):
     agree(found)
 
 
+@pytest.mark.scene
 def test_a_highlight_of_which_a_quarter_is_saturated(high):
     """Too little is left to judge it: either it is found glossy, or it is not sure of itself."""
     found, _ = high.found({"picture": (0.1, 0.2, 0.9)})
@@ -370,6 +382,7 @@ def open_scene(tmp_path_factory):
     )
 
 
+@pytest.mark.scene
 def test_a_mirror_that_shows_nothing_is_not_identified(open_scene):
     """Black pixels tell nothing: no value is made up."""
     walls = {name: rho for name, rho in WALLS.items() if name in open_scene.groups}
@@ -436,6 +449,7 @@ def test_said_to_be_a_mirror_that_is_grey(room):
     assert kinds(found)["picture"] == "mirror" and found["groups"]["picture"]["rho_s"] == [1.0] * 3
 
 
+@pytest.mark.scene
 def test_said_to_be_glossy_and_is_diffuse(room):
     """rho_s is 0 within its sigma, and nobody else suffers."""
     found, _ = room.found({"picture": 0.3}, surfaces={"picture": "glossy"})
@@ -444,12 +458,14 @@ def test_said_to_be_glossy_and_is_diffuse(room):
     agree(found)
 
 
+@pytest.mark.scene
 def test_said_to_be_a_mirror_and_is_diffuse(room):
     """What is given is kept, even if it is wrong."""
     found, _ = room.found({"picture": 0.3}, surfaces={"picture": "mirror"})
     assert kinds(found)["picture"] == "mirror"
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("kind", ["mirror", "coloured_mirror"])
 def test_a_mirror_that_no_pixel_shows(room, kind):
     """What is said of it is kept: its light goes on to all others, who are found."""

@@ -52,6 +52,7 @@ def test_no_baseline_is_no_pair():
 # -- matching
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize(
     "options",
     [{}, {"grey": True}, {"baseline": 0.35}, {"angle_deg": 10.0}, {"tilt": 1.3}],
@@ -72,6 +73,7 @@ def test_every_quadrilateral_finds_its_own(options):
     assert total >= 0.95 * 15 * 6
 
 
+@pytest.mark.scene
 def test_office_no_wrong_pair():
     """True regions of a furnished room: what is matched is right; what covers most of the picture is matched."""
     P = pairs.office(seed=1, samples=4)
@@ -187,6 +189,7 @@ def test_stage_writes_the_contract(run, pair_files, tmp_path):
     assert (l == r).all() and len(l) == len(rows)
 
 
+@pytest.mark.scene
 def test_stage_refuses(refuses, run, pair_files, files_under, tmp_path):
     Q = pairs.quads(2)
     words = pair_files(Q)

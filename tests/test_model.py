@@ -401,6 +401,7 @@ def test_glb_refused(tmp_path):
             models.load(glb(tmp_path / "m.glb", description, content))
 
 
+@pytest.mark.scene
 def test_a_hundred_thousand_triangles(tmp_path):
     n = 225
     x, y = np.meshgrid(np.arange(n), np.arange(n))

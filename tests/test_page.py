@@ -105,6 +105,7 @@ def test_sizes_that_do_not_match():
     assert "tinted" not in page.section("What each pixel shows").text
 
 
+@pytest.mark.scene
 def test_large_noisy_pictures_stay_below_the_limit():
     rng = np.random.default_rng(2)
     photo = rng.random((1200, 1800, 3))

@@ -48,10 +48,12 @@ def refused(run, folder):
     return lines[0]
 
 
+@pytest.mark.outside
 def test_photographs_of_nothing(attic):
     assert "0 facets cannot fix a pose" in refused(make(attic, "attic"), attic)
 
 
+@pytest.mark.outside
 def test_photographs_of_noise(attic):
     rng = np.random.default_rng(0)
     for side in ("left", "right"):
@@ -59,6 +61,7 @@ def test_photographs_of_noise(attic):
     refused(make(attic, "attic"), attic)
 
 
+@pytest.mark.outside
 def test_one_centre_and_nothing_to_see(attic):
     """Two lenses alone: the relative pose would have to come from photographs that show nothing."""
     shutil.copyfile(attic / "data/attic/left.cameramodel", attic / "data/attic/right.cameramodel")

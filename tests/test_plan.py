@@ -262,6 +262,7 @@ def test_a_second_make_does_nothing(toy):
     assert (status, ran, said) == (0, [], "room: build/room/materials.json build/room/scorecard.csv\n")
 
 
+@pytest.mark.scene
 def test_an_edit_reruns_what_it_touches_and_no_more(toy):
     toy.make("room")
     newer(toy.folder / "toy/pose.py", "from toy import common  # edited\n")

@@ -38,6 +38,7 @@ CUBE[[0, 1, 2, 3, 4, 5], [1, 0, 3, 2, 5, 4]] = PARALLEL
 # ---- by hand ----
 
 
+@pytest.mark.scene
 @every_method
 @every_store
 def test_two_patches(how, store):

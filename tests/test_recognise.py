@@ -60,6 +60,7 @@ def test_kabsch_never_reflects():
 # The search.
 
 
+@pytest.mark.scene
 def test_200_rooms(tmp_path, capsys):
     """Three furnished rooms, one of them seen; half of the facets spurious, most of the others partial.
 
@@ -111,6 +112,7 @@ def test_a_symmetric_room_is_ambiguous(tmp_path):
         assert explained >= 2
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("seed", [0, 3, 7, 8])
 def test_a_left_handed_model_is_not_recognised(tmp_path, seed):
     random, things, model, camera = trials.room_trial(seed, tmp_path)
@@ -169,6 +171,7 @@ def test_the_unit_of_length_does_not_matter(tmp_path, factor):
     np.testing.assert_allclose(results[1][2], results[0][2], atol=1e-4)
 
 
+@pytest.mark.scene
 def test_unknown_scale(tmp_path):
     """Lengths in baselines: the model gives the scale, and the poses are in metres."""
     for seed in (0, 3):
@@ -227,6 +230,7 @@ def test_derivatives_of_the_projection(tmp_path):
             np.testing.assert_allclose((q[1] - q[0]) / 2e-6, J[:, :, k], rtol=1e-5, atol=1e-3)
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize(
     "scene, degrees, metres, turn, move",
     [("office", 3, 0.15, 0.01, 0.0005), ("linear", 2, 0.08, 0.01, 0.0005), ("cornell", 1, 0.03, 0.02, 0.0005)],
@@ -246,6 +250,7 @@ def test_path_traced_photographs(root, scene, degrees, metres, turn, move):
         assert result.support > 0.7 and result.evidence > refinement.PROOF
 
 
+@pytest.mark.scene
 def test_the_covariance_is_honest(tmp_path):
     """Rooms seen by pairs whose principal points and focal lengths are 0.1 px wrong, 1 % noise."""
     far = []
@@ -349,6 +354,7 @@ def words(folder, out, **other):
     ]
 
 
+@pytest.mark.outside
 def test_from_outside(run, chain, tmp_path):
     folder, camera = chain
     result = run(*words(folder, tmp_path))
@@ -365,6 +371,7 @@ def test_from_outside(run, chain, tmp_path):
     assert report["edges_found"] > 0.6 and len(report["trace"]) == len(pose["trace"])
 
 
+@pytest.mark.scene
 def test_refusals_are_one_line(refuses, chain, tmp_path, files_under):
     folder, _ = chain
     content = json.loads((folder / "facets.json").read_text())

@@ -40,6 +40,7 @@ def angle_deg(m, true):
 # -- the covariance is honest
 
 
+@pytest.mark.scene
 def test_coverage_of_true_regions():
     """100 scenes of 6 exact quadrilaterals: of 95 % regions, 90 to 98 % hold the truth.
 
@@ -54,6 +55,7 @@ def test_coverage_of_true_regions():
     assert 0.90 <= np.mean(inside) <= 0.98
 
 
+@pytest.mark.scene
 def test_coverage_of_texture():
     """A textured plane whose region has no visible border: the intensities alone, without bias, and as honest."""
     inside, error = [], []
@@ -72,6 +74,7 @@ def test_coverage_of_texture():
     assert abs(np.mean(error)) < 3 * np.std(error) / np.sqrt(40) + 2e-5
 
 
+@pytest.mark.scene
 def test_baseline_towards_zero():
     """Sigma of m is that of the disparity over f baseline: facet by facet it grows like 1 / baseline.
 
@@ -159,6 +162,7 @@ def test_pictures_without_noise():
 # -- real pictures
 
 
+@pytest.mark.outside
 def test_chessboards():
     """The 13 real pairs, calibrated with OpenCV here: within 0.5 degree and 0.5 % of depth.
 
@@ -226,6 +230,7 @@ def test_chessboards():
     assert worst[0] < 0.5 and worst[1] < 0.005
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("scene", ["venus", "sawtooth"])
 def test_middlebury(scene, run, tmp_path):
     """From the photographs through the stages: the facets' median disparity error, and how much they cover."""
@@ -385,6 +390,7 @@ def check_trace(report, planes):
     assert trace[-1]["borders_apart_px"] <= 1.1 * trace[0]["borders_apart_px"] < 1
 
 
+@pytest.mark.scene
 def test_stage_writes_the_contract(run, pair_files, tmp_path):  # noqa: F811
     Q = pairs.quads(2)
     words = [*pair_files(Q), "--matches", tmp_path / "matches.csv"]
@@ -441,6 +447,7 @@ def test_polygon_corners_to_a_fraction_of_a_pixel():
         assert area == pytest.approx(inside.sum(), rel=0.004)  # an outline through pixel centres would miss 1.5 %
 
 
+@pytest.mark.scene
 def test_stage_refuses(refuses, pair_files, files_under, tmp_path):  # noqa: F811
     Q = pairs.quads(2)
     words = [

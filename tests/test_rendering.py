@@ -125,6 +125,7 @@ def test_light_under_a_square_lamp(tmp_path):
     assert floor_below(tmp_path, {}) == pytest.approx(0.5 * 4 * UNDER_UNIT_SQUARE, rel=1e-3)
 
 
+@pytest.mark.scene
 def test_a_lamp_of_many_triangles(office, tmp_path):
     """The same lamp as a mesh: its light is interpolated between blocks of pixels."""
     x, y = np.meshgrid(np.linspace(1.5, 2.5, 5), np.linspace(1, 2, 5), indexing="ij")
@@ -252,6 +253,7 @@ def test_interpolated_light_against_many_rays(office):
     assert len(leaves) < len(seen) / 2
 
 
+@pytest.mark.scene
 def test_mixed_pixels_against_finer_ones(office, tmp_path):
     """A picture four times as fine, averaged, is the anti-aliased picture; without the A-buffer it is not."""
     s, picture = office
@@ -403,6 +405,7 @@ def test_materials_are_checked(tmp_path, change, word):
 # ---- from outside ----
 
 
+@pytest.mark.scene
 def test_as_a_user_would(tmp_path, run, refuses):
     s = furnished(tmp_path)
     factors_file.write(tmp_path / "formfactors.npz", s.factors)

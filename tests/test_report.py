@@ -276,6 +276,7 @@ def test_a_bar_shows_the_share_and_goes_away(capsys, monkeypatch):
     assert shown.strip().startswith("rays [###############") and "50 %, 10 s left" in shown and gone == "\r"
 
 
+@pytest.mark.scene
 def test_what_a_user_waits_is_all_listed(small, run, tmp_path):
     """What is counted and what is listed apart is the time on a clock beside the process, within 0.1 s.
 

@@ -224,6 +224,7 @@ def spoil(folder, what):
     return "scene.yaml: lamps.lamp: [1, 1, 1] names no group of model.obj, which has light box, wall"
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("what", ["truncated", "size", "nan", "index", "camera", "group"])
 def test_bad_files_are_refused_before_anything_is_written(folder, refuses, run, what):
     image.write_png8(folder / "left.png", np.full((4, 4, 3), 100))

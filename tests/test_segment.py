@@ -89,6 +89,7 @@ def test_labels_are_connected_and_count_from_one(astronaut, weight):
     well_formed(segmentation.segment(astronaut[:120, 40:140], weight), (120, 100))
 
 
+@pytest.mark.scene
 def test_small_pictures_near_the_least_of_all_partitions():
     """Six or eight pixels of noise: nearly always exact, never more than a quarter above, never below."""
     exact = 0
@@ -184,6 +185,7 @@ def test_lambda_infinite_is_one_region(astronaut):
         )
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("sigma", [0.002, 0.02, 0.2])
 def test_pure_noise_is_one_region(channels, sigma):
@@ -204,6 +206,7 @@ def test_pure_noise_ends_at_any_lambda():
 # -- laws
 
 
+@pytest.mark.scene
 def test_energy_rises_with_lambda_and_regions_fall(astronaut):
     """The least energy rises with lambda and is concave.
 
@@ -246,6 +249,7 @@ def test_every_step_lowers_the_energy(astronaut):
     assert all(after <= before for (_, before), (_, after) in pairwise(steps))
 
 
+@pytest.mark.scene
 def test_transposing_mirroring_offset_and_scale(astronaut):
     """The energy of the transpose, of the mirror image and of the picture plus a constant: the same within 0.5 %.
 
@@ -304,6 +308,7 @@ def test_auto_keeps_facets_and_leaves_shading_whole():
 # -- against the peers
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("side", [256, 512])
 def test_energy_against_pottslab(side):
     """At most Pottslab's energy, with room to spare (measured with pottslab 1.0.1, anisotropic, default settings)."""
@@ -326,6 +331,7 @@ def pair(tmp_path, astronaut):
     return tmp_path
 
 
+@pytest.mark.scene
 def test_stage_writes_both_sides_and_an_exact_report(run, pair):
     done = run(
         "stages/segment.py",

@@ -164,6 +164,7 @@ def test_both_sides_of_one_polygon():
     assert len(images) == 1 and F[:, 0] == pytest.approx([factor(q, UP, image(q)) for q in p], rel=0.01)
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("how, options", [("mirror", {"complete": 0}), (0.005, {})])
 def test_rays_and_a_sharp_lobe_find_the_mirrored_lamp(how, options):
     """What is not left to images: rays that go on at the mirror, or a lobe as sharp as one.

@@ -51,6 +51,7 @@ def test_truth_is_the_recipe(name):
     assert materials["transfer"].get("gamma") == recipe.gamma
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("name", recipes.ALL_NAMES)
 def test_the_truth_would_be_written_again(name):
     """What needs no Mitsuba of truth/, text for text: materials, textures, boards."""
@@ -104,6 +105,7 @@ def test_camera(name):
     assert np.allclose(camera.project(p), recipe.project(p), atol=1e-9)
 
 
+@pytest.mark.outside
 @scenes
 def test_group_picture_is_what_the_camera_sees(name):
     """Mitsuba's rays against polygons intersected here, at 300 pixels; the border of a group may go either way."""

@@ -158,6 +158,7 @@ def lobe(recipe, surface, x, eye, n, lamp, m=24):
     return (f * g).sum(1)[:, None] * E * surface.rho_s, (g / np.pi).sum(1)[:, None] * E
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("name, group", [("desk-glossy", "desktop"), ("desk-glossy", "tin"), ("desk-brushed", "plate")])
 def test_highlight_is_where_and_what_ward_says(name, group):
     """From pixel to pixel the photograph changes as the lamp's lobe does, integrated here: the factor is 1.

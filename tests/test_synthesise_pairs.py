@@ -106,6 +106,7 @@ def test_lenses_of_a_pair(name):
     assert 5 < np.degrees(np.arccos(relative[2, 2])) < 10 and relative[0, 3] < 0
 
 
+@pytest.mark.outside
 @pairs
 def test_photographs_of_a_pair(name):
     """Few pixels clip, and the noise is what is stated.

@@ -118,6 +118,7 @@ def test_the_bounded_form_never_gains_energy():
     assert ward.albedo(kernels.DUER, 0.3, 0.3, np.radians(89)) > 4
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("theta,phi", EYES)
 @pytest.mark.parametrize("ax,ay", ALPHAS)
 def test_the_density_is_that_of_the_samples(ax, ay, theta, phi):
