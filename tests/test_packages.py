@@ -30,3 +30,19 @@ def test_colour_differs_as_published_without_its_plots(run):
         "print(f'{difference:.4f}')\n",
     )
     assert (done.stdout, done.stderr) == ("2.0425\n", "")
+
+
+def test_numba_finds_blas_without_the_rest_of_scipy_linalg(run):
+    """What imports scipy.linalg later gets all of it."""
+    done = run(
+        "-c",
+        "import sys\n"
+        "import numpy as np\n"
+        "from lib.core import compiled\n"
+        "import numba\n"
+        "product = numba.njit(lambda a, b: np.dot(a, b))(np.array([1.0, 2.0]), np.array([3.0, 4.0]))\n"
+        "assert 'scipy.linalg' not in sys.modules\n"
+        "import scipy.linalg\n"
+        "print(product, scipy.linalg.det([[2.0, 0.0], [0.0, 3.0]]))\n",
+    )
+    assert (done.stdout, done.stderr) == ("11.0 6.0\n", "")

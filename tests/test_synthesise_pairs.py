@@ -19,6 +19,7 @@ def test_every_pair_is_there():
 
 
 @pairs
+@pytest.mark.scene
 def test_committed_files_of_a_pair_are_the_recipe(name):
     recipe = made(name)
     obj, mtl = recipe.model()
