@@ -45,7 +45,7 @@ def describe(
             group = _of_rung(group, climb, g, (textures or {}).get(g))
         groups[name] = group
     nothing = len(problem.tile_group) == 0
-    status = "nothing seen" if nothing else "converged" if result.converged else "not converged"
+    status = "nothing seen" if nothing else "converged" if result.converged and result.balanced else "not converged"
     rmse = None if nothing or not np.isfinite(result.rmse) else float(result.rmse)
     lamps = {name: _lamp(problem, result, k, scale) for k, name in enumerate(problem.lamps)}
     return Materials(
@@ -162,7 +162,12 @@ def warnings(problem: Problem, result: Result, described: Materials, found: Gath
             f"gamma = {gamma:.2f} lies on its bound: the lamps' power or the transfer function is not as given"
         )
     lines += _on_bounds(problem, result.state.rho)
-    if described.status == "not converged":
+    if not result.balanced:
+        lines.append(
+            f"the light balance is solved to {result.residual:.1g} of its light only: what is found rests on light that"
+            " is not the scene's"
+        )
+    elif described.status == "not converged":
         lines.append("the fit has not converged")
     return lines
 

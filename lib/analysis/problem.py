@@ -18,6 +18,7 @@ import numpy as np
 from lib.analysis.mixture import Mixture
 from lib.given.transfer import Metric, Transfer
 
+BALANCED = 1e-4  # largest relative residual of a light balance that counts as solved; it is solved to 1e-5
 MISFIT = 4.0  # residuals so many times what noise explains: something told to the fit is wrong
 UNSEEN_MEAN, UNSEEN_SPREAD = 0.5, 0.3  # of groups never seen, where no group is seen
 LEAST_SPREAD = 0.05  # of the prior of a group never seen
@@ -241,6 +242,11 @@ class Result:
     misfit: float = 0.0
     shares: dict = field(default_factory=dict)
     warnings: list = field(default_factory=list)
+
+    @property
+    def balanced(self):
+        """The light that everything rests on is the solution of its equations."""
+        return self.residual is None or self.residual <= BALANCED
 
 
 # -- what is seen, and how far a synthesis is from it

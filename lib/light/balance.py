@@ -40,6 +40,19 @@ def times(matrices, X, channel=None):
     return out
 
 
+def spectral_radius(A) -> float:
+    """Largest absolute eigenvalue of a sparse matrix (N, N), to 1e-4; infinite where Arnoldi's iteration finds none."""
+    from scipy.sparse.linalg import ArpackError, eigs
+
+    if A.shape[0] < 4:
+        return float(np.abs(np.linalg.eigvals(A.toarray())).max(initial=0.0))
+    try:
+        start = np.ones(A.shape[0])
+        return float(np.abs(eigs(A.astype(float), k=1, v0=start, tol=1e-4, return_eigenvectors=False)).max())
+    except ArpackError:
+        return np.inf
+
+
 class Reflected(NamedTuple):
     """b : (N, K) float32, what the patches reflect;  residual : relative, the largest of all columns"""
 

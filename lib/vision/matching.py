@@ -21,6 +21,7 @@ import numpy as np
 from lib.core.stage import BadInput
 from lib.given import cameras, image
 from lib.given.cameras import Camera
+from lib.given.view import size_problem
 from lib.vision import matching_kernels as kernels
 from lib.vision.matching_kernels import RegionArrays, ViewArrays
 
@@ -268,11 +269,8 @@ def read_pair(camera_paths, photograph_paths, label_paths):
     labels = [image.read_labels(path) for path in label_paths]
     for paths, pictures in ((photograph_paths, [p.values for p in photograph]), (label_paths, labels)):
         for path, picture, camera, of in zip(paths, pictures, both, camera_paths, strict=True):
-            height, width = picture.shape[:2]
-            if (height, width) != (camera.height, camera.width):
-                raise BadInput(
-                    f"{path}: size: {width} x {height} is not the camera's {camera.width} x {camera.height} ({of})"
-                )
+            if problem := size_problem(path, picture, camera, of):
+                raise BadInput(problem)
     try:
         pair = stereo(*both)
     except ValueError as error:
