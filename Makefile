@@ -42,16 +42,17 @@ $(foreach name,$(NAMES),$(eval $(call scene,$(name))))
 plan: setup
 	@$(PYTHON) -m lib.planning.plan --show --data "$(DATA)" --build "$(BUILD)"
 
-# The loop while one works; all that must pass; what takes minutes each.
+# The loop while one works; all that must pass; what takes minutes each.  Tests run side by side, one on each core.
+TESTS := OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal
+
 check: lint
-	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal \
-	  -m 'not scene and not outside and not slow'
+	NUMBA_NUM_THREADS=1 $(TESTS) -m 'not scene and not outside and not slow'
 
 test: lint
-	$(PYTHON) -m pytest -m 'not slow'
+	NUMBA_NUM_THREADS=2 $(TESTS) -m 'not slow'
 
 test-slow: setup
-	$(PYTHON) -m pytest -m slow
+	NUMBA_NUM_THREADS=2 $(TESTS) -m slow
 
 lint: setup
 	@$(PYTHON) -m ruff check --quiet
