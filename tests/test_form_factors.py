@@ -714,6 +714,7 @@ GAPS = {
 }
 
 
+@pytest.mark.scene
 @pytest.mark.parametrize("solids", [*GAPS.values(), SHELVES], ids=[*GAPS, "shelves 20 mm apart"])
 def test_the_corrected_balance_is_never_expansive(tmp_path, solids):
     """Uncorrected, no eigenvalue of F exceeds its largest row sum. Corrected everywhere, they reached 1.16 here."""

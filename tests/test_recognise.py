@@ -95,6 +95,7 @@ def test_200_rooms(tmp_path, capsys):
     assert np.mean(spent) < 1.0
 
 
+@pytest.mark.scene
 def test_a_symmetric_room_is_ambiguous(tmp_path):
     """A bare box looks the same after half a turn. At least two of the poses bring it onto itself, one is the truth."""
     box = np.array([[x, y, z] for x in (0, 5) for y in (0, 4) for z in (0, 2.8)])
