@@ -33,7 +33,7 @@ def options():
     )
     parser.add_argument("--lamps", type=stage.json_option, required=True)
     parser.add_argument("--reference", type=stage.json_option, default={})
-    parser.add_argument("--transfer", type=stage.json_option, default=None, help="default: gamma, linear for EXR")
+    parser.add_argument("--transfer", type=stage.json_option, default=None, help="default: auto, linear for EXR")
     parser.add_argument("--surfaces", type=stage.json_option, default={})
     parser.add_argument("--method", choices=["gauss-newton", "paper", "damped"], default="gauss-newton")
     parser.add_argument("--gamma", type=float, default=2.2, help="where an unknown gamma starts")
@@ -63,7 +63,7 @@ def main(opt):
         with report.excluded("imports"):
             import scipy.sparse  # noqa: F401  where lib/ imports late
 
-            from lib.analysis import describe, facts, gather, gauss_newton, paper
+            from lib.analysis import describe, facts, gather, paper, responses
             from lib.analysis.problem import scale as scale_of
             from lib.given import materials
             from lib.light import factors_file
@@ -75,10 +75,12 @@ def main(opt):
             iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
         )
         options = {"max_iterations": opt.max_iterations, "tolerance": opt.tolerance}
-        climb, textures = None, {}
+        climb, textures, rivals = None, {}, {}
         with report.timing("fit"):
             if opt.method == "gauss-newton":
-                result, scale = gauss_newton.fit(problem, gamma=opt.gamma, trace=trace, **options)
+                free = opt.transfer in (None, "auto")
+                chosen = responses.choose(problem, free, gamma=opt.gamma, trace=trace, **options)
+                problem, result, scale, rivals = chosen.problem, chosen.result, chosen.scale, chosen.rivals
                 if ascent := climbed(opt, report, problem, result, scale, factors, found, options):
                     (climb, textures) = ascent
                     problem, result, scale = climb.problem, climb.result, climb.scale
@@ -86,7 +88,7 @@ def main(opt):
                 result = paper.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
                 scale = scale_of(problem)
         described = describe.describe(
-            problem, result, found, scale=scale, transfer=opt.transfer, climb=climb, textures=textures
+            problem, result, found, scale=scale, transfer=opt.transfer, rivals=rivals, climb=climb, textures=textures
         )
         report.status = described.status
         report["scale"], report["iterations"] = scale, result.iterations

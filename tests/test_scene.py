@@ -41,7 +41,7 @@ def test_all_keys_are_optional(folder):
     assert (
         scene.goals == ("materials.json", "rendered.png", "report.html")
         and scene.lamps == {}
-        and scene.fact("transfer") == "gamma"
+        and scene.fact("transfer") == "auto"
     )
 
 
@@ -109,14 +109,13 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
         ),
         (
             "transfer: gama",
-            'transfer: "gama" is none of gamma, linear, srgb, curve, linear_per_group, histogram, histogram_per_group, '
-            "{gamma: 2.2}",
+            'transfer: "gama" is none of auto, gamma, linear, srgb, curve, linear_per_group, histogram, '
+            "histogram_per_group, {gamma: 2.2}",
         ),
         ("transfer: {gamma: 0}", "transfer.gamma: 0 is not a positive number"),
         ("transfer: {gamma: .nan}", "transfer.gamma: NaN is not a positive number"),
         ("transfer: {}", "transfer.gamma: is missing"),
         ("transfer: {gamma: 2, x: 1}", "transfer.x: 1 is an unknown key; known is gamma"),
-        ("transfer: curve", 'transfer: "curve" is not built yet'),
         (
             "surfaces: {wall: shiny}",
             'surfaces.wall: "shiny" is none of diffuse, mirror, coloured_mirror, glossy, textured',

@@ -15,7 +15,7 @@ from lib.analysis import mixture as mixture_
 from lib.analysis import problem as problem_
 from lib.analysis.equations import Equations, Layout, Unknowns
 from lib.given.rays_kernels import OFFSET
-from lib.given.transfer import Metric, Transfer
+from lib.given.transfer import Transfer
 from lib.light import (
     chains as chains_,
 )
@@ -782,8 +782,8 @@ def problem(C=3, seed=0, tiles=40, doubts=()):
         lamps=("lamp",),
         emittance=np.full((1, C), np.nan),
         rho=rho,
-        metric=Metric(Transfer("gamma", 2.2)),
-        fit_gamma=True,
+        transfer=Transfer("gamma", 2.2),
+        fit_transfer=True,
         group_area=np.ones(7),
         specular=spec,
     )
@@ -794,7 +794,9 @@ def linearised(p, rho_s, bend):
     C = p.channels
     rho = np.where(np.isnan(p.rho), 0.2 + 0.6 * rng.random((7, C)), p.rho)
     layout = Layout.of(p)
-    at = Unknowns(rho, 1.3 + 0.2 * rng.random((1, C)), 2.1, np.array(rho_s, float), np.array(bend, float))
+    at = Unknowns(
+        rho, 1.3 + 0.2 * rng.random((1, C)), Transfer("gamma", 2.1), np.array(rho_s, float), np.array(bend, float)
+    )
     return Equations(p, transport.TileLight(p), layout, at), layout
 
 
@@ -829,7 +831,7 @@ def test_derivatives_of_the_whole_specular_problem(C, rho_s):
     """
     p = problem(C)
     at, layout = linearised(p, rho_s, np.zeros(2))
-    assert len(layout.rho_s) == 2 * C and len(layout.bend) == 2 and layout.gamma
+    assert len(layout.rho_s) == 2 * C and len(layout.bend) == 2 and layout.transfer == 1
     check_derivatives(at, layout, p)
 
 
@@ -864,7 +866,7 @@ def test_the_right_answer_is_found_again():
         rho=np.where(np.arange(7)[:, None] == 0, at.state.rho, p.rho),
     )
     rho = np.where(np.isnan(p.rho), at.state.rho * 0.8, p.rho)
-    start = Unknowns(rho, at.state.E * 1.2, 2.3, np.array(true) * 0.8)
+    start = Unknowns(rho, at.state.E * 1.2, Transfer("gamma", 2.3), np.array(true) * 0.8)
     result = gauss_newton.gauss_newton(p, start=start, max_iterations=60)
     assert result.converged and np.abs(result.state.bend).max() < 2e-3
     assert result.state.rho_s == pytest.approx(np.array(true), abs=2e-3) and result.state.gamma == pytest.approx(

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lib.analysis.climbing import SPECULAR, Climb, Place
-from lib.analysis.equations import GAMMA_RANGE
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import MISFIT, Problem, Result, group_rmse
 from lib.given.kinds import RUNGS
 from lib.given.materials import Fit, FoundTransfer, Group, Lamp, Materials, Rung, Sigma
+from lib.given.transfer import GAMMA_RANGE, Metric
+from lib.given.transfer_kinds import OF_PICTURE
 
 if TYPE_CHECKING:
     from lib.analysis.textures import Textured
 
 NONE = (0.0, 0.0, 0.0)
+CURVE_SAMPLES = 256
 
 
 def describe(
@@ -27,12 +29,14 @@ def describe(
     *,
     scale,
     transfer,
+    rivals=None,
     climb: Climb | None = None,
     textures: dict[int, Textured] | None = None,
 ) -> Materials:
     """What materials.json says. One-channel results stand three times.
 
-    transfer : as scene.yaml has it, or None;  climb : where a group is not diffuse;  textures : by group
+    transfer : as scene.yaml has it, or None;  rivals : {kind: nats} of other transfer functions
+    climb : where a group is not diffuse;  textures : by group
     """
     errors = group_rmse(problem, result.tile_residual)
     specular = () if climb is None or climb.finish is None else climb.finish.groups
@@ -49,7 +53,7 @@ def describe(
     rmse = None if nothing or not np.isfinite(result.rmse) else float(result.rmse)
     lamps = {name: _lamp(problem, result, k, scale) for k, name in enumerate(problem.lamps)}
     return Materials(
-        status, groups, lamps, _transfer(problem, result, transfer), scale, Fit(rmse, int(result.iterations))
+        status, groups, lamps, _transfer(problem, result, transfer, rivals), scale, Fit(rmse, int(result.iterations))
     )
 
 
@@ -131,11 +135,31 @@ def _lamp(problem, result, k, scale) -> Lamp:
     )
 
 
-def _transfer(problem, result, transfer) -> FoundTransfer:
-    kind = transfer if isinstance(transfer, str) else problem.metric.transfer.kind
-    if kind != "gamma":
-        return FoundTransfer(kind)
-    return FoundTransfer(kind, float(result.state.gamma), result.sigma_gamma)
+def _transfer(problem, result, asked, rivals) -> FoundTransfer:
+    """asked : as in scene.yaml, or None;  rivals : {kind: nats}"""
+    transfer = result.state.transfer
+    kind = asked if asked in OF_PICTURE else transfer.kind
+    told = {"asked": asked if isinstance(asked, str) else None, "rivals": rivals or None}
+    if kind == "gamma":
+        return FoundTransfer(kind, float(transfer.gamma), sigma=result.sigma_gamma, **told)
+    if kind != "curve":
+        return FoundTransfer(kind, **told)
+    I = np.linspace(0, 1, CURVE_SAMPLES)
+    linear = transfer.linear(I)
+    linear[0], linear[-1] = 0, 1
+    return FoundTransfer(
+        kind, linear=tuple(linear.tolist()), display=tuple(I.tolist()), sigma=_curve_sigma(problem, result, I), **told
+    )
+
+
+def _curve_sigma(problem, result, I):
+    """Standard deviation of each display value, None where no trusted pixel tells of it."""
+    if result.cov_transfer is None:
+        return None
+    low, high = np.quantile(problem.photograph.display(), (0.005, 0.995))
+    by = Metric(result.state.transfer).by_parameters(result.state.transfer.linear(I))
+    sigma = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", by, result.cov_transfer, by), 0))
+    return tuple(float(s) if low <= at <= high else None for s, at in zip(sigma, I, strict=True))
 
 
 # -- in words
@@ -155,9 +179,9 @@ def warnings(problem: Problem, result: Result, described: Materials, found: Gath
             " every sigma is widened by as much"
         )
     gamma = result.state.gamma
-    if problem.fit_gamma and not len(problem.tile_group):
+    if problem.fit_transfer and not len(problem.tile_group):
         lines.append(f"gamma is not determined by any pixel: {gamma} is only where the search would have started")
-    if problem.fit_gamma and not GAMMA_RANGE[0] + 0.01 < gamma < GAMMA_RANGE[1] - 0.1:
+    if result.sigma_gamma is not None and not GAMMA_RANGE[0] + 0.01 < gamma < GAMMA_RANGE[1] - 0.1:
         lines.append(
             f"gamma = {gamma:.2f} lies on its bound: the lamps' power or the transfer function is not as given"
         )

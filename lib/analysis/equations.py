@@ -14,9 +14,12 @@ import numpy as np
 
 from lib.analysis.problem import Problem, State, display_residual, unseen_prior
 from lib.analysis.transport import TileLight, product
+from lib.given.transfer import Transfer
 from lib.light.balance import reflected, times
 
-GAMMA_RANGE = 0.2, 8.0
+# a curve's log slope may change so much from knot to knot, and so much beside what it did before: sRGB's changes by .37
+# and .28, those of films and picture styles by 1 near white
+STEP, BENT = 1.0, 0.5
 
 
 class Unknowns(NamedTuple):
@@ -27,24 +30,24 @@ class Unknowns(NamedTuple):
 
     rho: np.ndarray
     E: np.ndarray
-    gamma: float
+    transfer: Transfer
     rho_s: np.ndarray | None = None
     bend: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Which parameters are free, in this order: reflectances, lamps, specular reflectances, shapes of lobes, gamma.
+    """Which parameters are free, in this order: reflectances, lamps, specular reflectances, shapes of lobes, transfer.
 
     rho : (n_rho, 2) group, channel;  E : (n_E, 2) lamp, channel;  rho_s : (n_s, 2) specular group, channel
-    bend : bounds (low, high) of each shape's step;  gamma : whether it is free
+    bend : bounds (low, high) of each shape's step;  transfer : how many parameters of it are free
     """
 
     rho: np.ndarray
     E: np.ndarray
     rho_s: np.ndarray
     bend: tuple
-    gamma: bool
+    transfer: int
 
     @classmethod
     def of(cls, problem: Problem) -> Layout:
@@ -52,11 +55,11 @@ class Layout:
         used = np.isin(np.arange(len(problem.groups)), np.concatenate([problem.tile_group, problem.patch_group]))
         rho = np.argwhere(np.isnan(problem.rho) & used[:, None])
         E = np.argwhere(np.isnan(problem.emittance))
-        terms = problem.specular
+        terms, n = problem.specular, problem.fit_transfer * len(problem.transfer.parameters)
         if terms is None:
-            return cls(rho, E, np.zeros((0, 2), int), (), problem.fit_gamma)
+            return cls(rho, E, np.zeros((0, 2), int), (), n)
         bend = tuple((shape.low, shape.high) for shape in terms.bend)
-        return cls(rho, E, np.argwhere(np.isnan(terms.rho_s)), bend, problem.fit_gamma)
+        return cls(rho, E, np.argwhere(np.isnan(terms.rho_s)), bend, n)
 
     @property
     def ends(self):
@@ -65,7 +68,7 @@ class Layout:
 
     @property
     def size(self):
-        return int(self.ends[-1]) + self.gamma
+        return int(self.ends[-1]) + self.transfer
 
     @property
     def channel(self):
@@ -77,7 +80,7 @@ class Layout:
         parts = [state.rho[tuple(self.rho.T)], state.E[tuple(self.E.T)]]
         if len(self.rho_s) or self.bend:
             parts += [state.rho_s[tuple(self.rho_s.T)], state.bend]
-        return np.concatenate(parts + [[state.gamma] * self.gamma])
+        return np.concatenate(parts + [state.transfer.parameters[: self.transfer]])
 
     def unpack(self, theta, state: State) -> Unknowns:
         """The unknowns at parameters theta (n,); what is not free stays as in the state."""
@@ -90,15 +93,16 @@ class Layout:
             rho_s[tuple(self.rho_s.T)] = theta[m:k]
         if j > k:
             bend = theta[k:j].copy()
-        return Unknowns(rho, E, float(theta[-1]) if self.gamma else state.gamma, rho_s, bend)
+        transfer = state.transfer.moved(theta[j:]) if self.transfer else state.transfer
+        return Unknowns(rho, E, transfer, rho_s, bend)
 
-    def bounds(self):
+    def bounds(self, transfer: Transfer):
         """(n,), (n,): between which the parameters stay."""
         n, m, s = len(self.rho), len(self.E), len(self.rho_s)
         low, high = (np.array([b[i] for b in self.bend], float).reshape(-1) for i in (0, 1))
         return (
-            np.concatenate([np.zeros(n + m + s), low, [GAMMA_RANGE[0]] * self.gamma]),
-            np.concatenate([np.ones(n), np.full(m, np.inf), np.ones(s), high, [GAMMA_RANGE[1]] * self.gamma]),
+            np.concatenate([np.zeros(n + m + s), low, [transfer.bounds[0]] * self.transfer]),
+            np.concatenate([np.ones(n), np.full(m, np.inf), np.ones(s), high, [transfer.bounds[1]] * self.transfer]),
         )
 
 
@@ -109,17 +113,22 @@ class Equations:
         self.problem, self.light, self.layout = problem, light.at(at.rho_s), layout
         b, self.irradiance = light.solve(at.rho, at.E, x0)
         B = light.shown(at.rho, at.E, b, () if at.bend is None else at.bend)
-        self.state = State(at.rho, at.E, at.gamma, B, b, at.rho_s, at.bend)
-        self.residual, self.slope, self.by_gamma = display_residual(problem, B, at.gamma)
+        self.state = State(at.rho, at.E, at.transfer, B, b, at.rho_s, at.bend)
+        self.residual, self.slope, self.by_transfer = display_residual(problem, B, at.transfer)
 
     def moved(self, theta) -> Equations:
         """The same at other parameters (n,)."""
         at = self.layout.unpack(theta, self.state)
         return Equations(self.problem, self.light, self.layout, at, x0=self.state.b)
 
+    @property
+    def shown_share(self):
+        """(T, C) what tiles show of their irradiance."""
+        return self.light.at(self.state.rho_s).matrices.seen * self.state.rho[self.problem.tile_group]
+
     @cached_property
     def patch_derivative(self):
-        """db/dtheta of the patches, (N, n) without gamma and shapes, by one block solve."""
+        """db/dtheta of the patches, (N, n) without the transfer and shapes, by one block solve."""
         layout, state, matrices = self.layout, self.state, self.light.matrices
         n, m = len(layout.rho), len(layout.rho) + len(layout.E)
         channel = layout.channel
@@ -139,14 +148,14 @@ class Equations:
         self.light.derivative = solution.b
         return solution.b
 
-    def jacobian(self, light: TileLight | None = None, slope=None, by_gamma=None):
+    def jacobian(self, light: TileLight | None = None, slope=None, by_transfer=None):
         """(T C, n) with all rays of the tiles, or with those of another light and its slopes of the display values."""
         self.light.at(self.state.rho_s)
         db = self.patch_derivative
         J = _tile_derivative(self.problem, light or self.light, self.layout, self.state, db)
         J = (self.slope if slope is None else slope)[:, :, None] * J
-        if self.layout.gamma:
-            J[:, :, -1] = self.by_gamma if by_gamma is None else by_gamma
+        if self.layout.transfer:
+            J[:, :, self.layout.ends[-1] :] = self.by_transfer if by_transfer is None else by_transfer
         return J.reshape(-1, self.layout.size)
 
     def half(self, k):
@@ -154,27 +163,36 @@ class Equations:
         s = self.state
         light = self.light.halves[k].at(s.rho_s)
         B = light.shown(s.rho, s.E, s.b, () if s.bend is None else s.bend)
-        residual, slope, by_gamma = display_residual(self.problem, B, s.gamma)
-        return residual.reshape(-1), self.jacobian(light, slope, by_gamma)
+        residual, slope, by_transfer = display_residual(self.problem, B, s.transfer)
+        return residual.reshape(-1), self.jacobian(light, slope, by_transfer)
 
     def prior(self):
-        """Of the groups never seen: gradient (n,) and Hessian diagonal (n,)."""
-        gradient, diagonal = np.zeros(self.layout.size), np.zeros(self.layout.size)
+        """Of the groups never seen, and of a curve's bends: gradient (n,) and Hessian (n, n)."""
+        target, H = np.zeros(self.layout.size), np.zeros((self.layout.size,) * 2)
         mean, spread = unseen_prior(self.problem, self.state.rho)
         for k in np.flatnonzero(~np.isin(self.layout.rho[:, 0], self.problem.tile_group)):
             g, c = self.layout.rho[k]
-            diagonal[k] = 1 / spread[c] ** 2
-            gradient[k] = (self.state.rho[g, c] - mean[c]) * diagonal[k]
-        return gradient, diagonal
+            H[k, k] = 1 / spread[c] ** 2
+            target[k] = mean[c]
+        if self.layout.transfer > 1:
+            H[self.layout.ends[-1] :, self.layout.ends[-1] :] = smooth(self.layout.transfer)
+        return H @ (self.layout.pack(self.state) - target), H
 
     def cost(self, weight):
         """Weighted sum of squares, (T, C) weights, and the prior's share."""
-        gradient, diagonal = self.prior()
-        return float((weight * self.residual**2).sum() + (gradient**2 / np.where(diagonal > 0, diagonal, 1)).sum())
+        gradient, H = self.prior()
+        return float((weight * self.residual**2).sum() + gradient @ np.linalg.lstsq(H, gradient, rcond=1e-12)[0])
+
+
+def smooth(n):
+    """Hessian (n, n) that keeps the bends of a curve's log slopes at n knots within BENT, its steps within STEP."""
+    steps = np.diff(np.eye(n), axis=0)
+    bends = np.diff(steps, axis=0)
+    return bends.T @ bends / BENT**2 + steps.T @ steps / STEP**2
 
 
 def _tile_derivative(problem: Problem, light: TileLight, layout: Layout, state: State, db):
-    """dB/dtheta of the tiles, (T, C, n), zero for gamma. db : (N, n) of the patches"""
+    """dB/dtheta of the tiles, (T, C, n), zero for the transfer. db : (N, n) of the patches"""
     n_rho, n_E, n_s, n_bend = layout.ends
     matrices, channel, tile_group = light.matrices, layout.channel, problem.tile_group
     bent = _Bent(problem, light, state)

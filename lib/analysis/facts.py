@@ -7,7 +7,7 @@ import numpy as np
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import Halves, Problem
 from lib.core.stage import BadInput
-from lib.given.transfer import CURVES, Metric, Transfer
+from lib.given.transfer import CURVES, Transfer
 from lib.given.transfer_kinds import OF_PICTURE
 from lib.light.factors_file import FormFactors
 
@@ -16,7 +16,7 @@ USUAL_GAMMA = 2.2
 
 def transfer_of(transfer, linear_photograph) -> Transfer:
     """The transfer function that scene.yaml names, with gamma's usual start where it is to be found."""
-    if transfer is None:
+    if transfer in (None, "auto"):
         transfer = "linear" if linear_photograph else "gamma"
     if isinstance(transfer, dict):
         return Transfer("gamma", float(transfer["gamma"]))
@@ -24,6 +24,8 @@ def transfer_of(transfer, linear_photograph) -> Transfer:
         return Transfer("gamma", USUAL_GAMMA)
     if transfer == "linear" or transfer in OF_PICTURE:
         return Transfer("linear")
+    if transfer == "curve":
+        return Transfer("gamma", USUAL_GAMMA).as_curve()
     if transfer in CURVES:
         return Transfer(transfer)
     raise BadInput(f"transfer: {transfer!r} is not built yet")
@@ -56,8 +58,8 @@ def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, trans
         lamps=factors.lamps,
         emittance=_emittances(factors.lamps, lamps, channels),
         rho=_known_reflectances(factors, reference, channels),
-        metric=Metric(model),
-        fit_gamma=model.kind == "gamma" and not isinstance(transfer, dict),
+        transfer=model,
+        fit_transfer=len(model.parameters) > 0 and not isinstance(transfer, dict),
         halves=Halves(*(seen_by(tiles.rows, k) for k in (0, 1)), *(seen_by(factors.rows, k) for k in (0, 1))),
         group_area=factors.group_area_m2,
     )

@@ -16,7 +16,7 @@ UNBIASED_STEPS = 8
 
 
 def gauss_newton(
-    problem: Problem, *, gamma=2.2, max_iterations=30, tolerance=1e-5, trace=None, start=None, finish=True
+    problem: Problem, *, gamma=None, max_iterations=30, tolerance=1e-5, trace=None, start=None, finish=True
 ) -> Result:
     """Levenberg-Marquardt with bounds and Huber weights, then a few steps that take away a bias.
 
@@ -24,13 +24,15 @@ def gauss_newton(
     all. The two halves of each tile's rays err independently, so the Jacobian of one half against the residual of the
     other has no such bias (docs/design.md, instruments).
 
+    gamma : where an unknown one begins, else at the problem's
     start : Unknowns to begin with instead of eq. 4.3, as specular problems must; bends begin at 0
     finish : False: neither the last steps nor the uncertainty (on the way to a better problem)
     trace : called after each iteration with iteration, image_rmse, state
     """
     layout, light = Layout.of(problem), TileLight(problem)
     if start is None:
-        start = Unknowns(*initialise(problem, gamma), gamma)
+        transfer = problem.transfer if gamma is None or not problem.fit_transfer else problem.transfer.moved([gamma])
+        start = Unknowns(*initialise(problem, transfer), transfer)
     at = Equations(problem, light, layout, _begun(problem, layout, start))
     solvable = layout.size > 0 and len(problem.tile_group) > 0
     at, converged, iteration = _least_squares(problem, at, max_iterations if solvable else 0, tolerance, trace)
@@ -40,23 +42,22 @@ def gauss_newton(
         iteration += steps
         if trace:
             trace(iteration=iteration, image_rmse=rmse(problem, at.residual), state=at.state)
-    result = Result(
-        at.state, converged, iteration, rmse(problem, at.residual), tile_residual=at.residual, residual=light.residual
-    )
+    error = rmse(problem, at.residual)
+    result = Result(at.state, converged, iteration, error, tile_residual=at.residual, residual=light.residual, at=at)
     if finish and solvable:
         uncertainty(problem, at, result)
     return result
 
 
 def _begun(problem, layout, start: Unknowns) -> Unknowns:
-    gamma = start.gamma if problem.fit_gamma else problem.metric.transfer.gamma
+    transfer = start.transfer if problem.fit_transfer else problem.transfer
     bend = None if start.rho_s is None else np.zeros(len(layout.bend))
-    return start._replace(gamma=gamma, bend=bend)
+    return start._replace(transfer=transfer, bend=bend)
 
 
 def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
     """Equations at the least squares, whether the last step was small enough, and the number of iterations."""
-    low, high = at.layout.bounds()
+    low, high = at.layout.bounds(at.state.transfer)
     damping, converged, iteration = 1e-3, False, 0
     while True:
         if trace:
@@ -66,8 +67,8 @@ def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
         iteration += 1
         weight = weights(problem, at.residual)
         J = at.jacobian()
-        gradient, diagonal = at.prior()
-        H = J.T @ (weight.reshape(-1, 1) * J) + np.diag(diagonal)
+        gradient, prior = at.prior()
+        H = J.T @ (weight.reshape(-1, 1) * J) + prior
         g = J.T @ (weight * at.residual).reshape(-1) + gradient
         theta, cost = at.layout.pack(at.state), at.cost(weight)
         for _ in range(TRIES):
@@ -95,12 +96,12 @@ def _unbiased(problem, start: Equations, tolerance):
     """
     at, last = start, np.inf
     weight = weights(problem, at.residual).reshape(-1)
-    low, high = at.layout.bounds()
+    low, high = at.layout.bounds(at.state.transfer)
     for steps in range(1, UNBIASED_STEPS + 1):
         (r0, J0), (r1, J1) = at.half(0), at.half(1)
-        gradient, diagonal = at.prior()
+        gradient, prior = at.prior()
         cross = J0.T @ (weight[:, None] * J1)
-        H = (cross + cross.T) / 2 + np.diag(diagonal)
+        H = (cross + cross.T) / 2 + prior
         g = (J0.T @ (weight * r1) + J1.T @ (weight * r0)) / 2 + gradient
         if not _positive_definite(H):
             break

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lib.analysis.problem import Problem, Result, TilePixels, group_mean, metric_of, observe
+from lib.analysis.problem import Problem, Result, TilePixels, group_mean, observe
 from lib.analysis.receivers import Receivers, Ways
+from lib.given.transfer import Metric, Transfer
 
 ENOUGH = 12  # tiles of a group without which it is not judged
 THRESHOLD = 0.0125  # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
@@ -36,9 +37,9 @@ class Misfit:
         return self.excess**2 * self.pixels
 
 
-def misfit(problem: Problem, gamma, B, seen, n_pixels, spread=0.0) -> Misfit:
+def misfit(problem: Problem, transfer: Transfer, B, seen, n_pixels, spread=0.0) -> Misfit:
     """B, seen : (t, C) linear;  n_pixels : (t,);  spread : (t, C) display, of B's own sampling"""
-    metric = metric_of(problem, gamma)
+    metric = Metric(transfer)
     residual = metric.value(B) - metric.value(seen)
     w = n_pixels / max(n_pixels.sum(), 1)
     square = float((w[:, None] * residual**2).sum() / residual.shape[1])
@@ -70,8 +71,8 @@ class _Shown:
 
     def __init__(self, subcell, problem, result, tiles, traced):
         self.problem, self.tiles, state = problem, tiles, result.state
-        self.gamma = state.gamma
-        metric = metric_of(problem, state.gamma)
+        self.transfer = state.transfer
+        metric = Metric(state.transfer)
         rows, terms = tiles.rows, problem.specular
         self.seen = TilePixels(tiles.values, tiles.start).linear(metric.transfer)[0]
         G = (rows.matrix() @ subcell).tocsr()
@@ -98,21 +99,21 @@ class _Shown:
         mine = mirrored if len(at_once) < ENOUGH <= len(mirrored) else at_once
         if not len(mine):
             return None
-        return misfit(self.problem, self.gamma, self.B[mine], self.seen[mine], t.n_pixels[mine], self.spread[mine])
+        return misfit(self.problem, self.transfer, self.B[mine], self.seen[mine], t.n_pixels[mine], self.spread[mine])
 
 
 def _specular_misfits(problem, result, tiles, textured):
     """{group: Misfit} of mirrors and glossy groups, by the tiles that show their lobes, or what they mirror."""
     terms, state = problem.specular, result.state
     t = tiles.take(np.flatnonzero(tiles.fit))
-    target = observe(problem, state.gamma)[0]
+    target = observe(problem, state.transfer)[0]
     met = terms.chains.counts[t.chain] > 0
     found = {}
     for m, g in enumerate(terms.groups):
         through = met[:, m] & (t.lobe < 0) & ~np.isin(t.group, textured)
         mine = np.flatnonzero((t.lobe == m) & (t.chain == 0) if (t.lobe == m).any() else through)
         if len(mine):
-            found[int(g)] = misfit(problem, state.gamma, state.B[mine], target[mine], t.n_pixels[mine])
+            found[int(g)] = misfit(problem, state.transfer, state.B[mine], target[mine], t.n_pixels[mine])
     return found
 
 
@@ -156,7 +157,7 @@ def doubt(problem: Problem, result: Result, found, threshold, given, places=None
     if result.sigma_rho is None:
         return
     B, seen = (group_mean(problem, values) for values in (result.state.B, np.ones((len(problem.tile_group), 1))))
-    slope = metric_of(problem, result.state.gamma).slope
+    slope = Metric(result.state.transfer).slope
     for g, m in sorted(found.items()):
         climbed = places and places[g].rung != "diffuse"
         if (

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lib.analysis.equations import GAMMA_RANGE
-from lib.analysis.problem import Problem, Result, State, initialise, metric_of, observe, rmse, unseen_prior
+from lib.analysis.problem import Problem, Result, State, initialise, observe, rmse, unseen_prior
 from lib.analysis.transport import TileLight
+from lib.given.transfer import GAMMA_RANGE, Metric, Transfer
 
 MOST_GAMMAS = 30
 RUNAWAY = 1e3, 1.5  # relative change, largest reflectance: beyond, the iteration diverges
@@ -24,22 +24,22 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=1.0, threshold=
         it
     """
     at = _Alternation(problem, damped, exponent, threshold, most, trace)
-    rho, E = initialise(problem, gamma)
-    gamma = gamma if problem.fit_gamma else problem.metric.transfer.gamma
+    transfer = problem.transfer if not problem.fit_transfer else problem.transfer.moved([gamma])
+    rho, E = initialise(problem, transfer)
     converged = False
     for _ in range(MOST_GAMMAS):
-        rho, settled, diverged = at.corrected(rho, E, gamma)
+        rho, settled, diverged = at.corrected(rho, E, transfer)
         if diverged is not None:
             return at.result(diverged, False)
-        if not problem.fit_gamma:
+        if not problem.fit_transfer:
             converged = settled
             break
-        better = _best_gamma(problem, at.light.render(rho, E, gamma, at.b).B, gamma)
-        converged = settled and abs(better - gamma) < threshold
-        last, gamma = gamma, better
+        last, better = transfer.gamma, _best_gamma(problem, at.light.render(rho, E, transfer, at.b).B, transfer.gamma)
+        converged = settled and abs(better - last) < threshold
+        transfer = transfer.moved([better])
         if abs(better - last) < threshold:
             break
-    return at.result(at.light.render(rho, E, gamma, at.b), converged)
+    return at.result(at.light.render(rho, E, transfer, at.b), converged)
 
 
 class _Alternation:
@@ -56,13 +56,13 @@ class _Alternation:
         self.seen = problem.seen_groups[:, None]
         self.iteration, self.b = 0, None
 
-    def corrected(self, rho, E, gamma):
-        """rho after eq. 4.4-4.6 at this gamma, whether it has settled, and the State where it diverged, or None."""
+    def corrected(self, rho, E, transfer: Transfer):
+        """rho after eq. 4.4-4.6 at this transfer, whether it has settled, and the State where it diverged, or None."""
         for _ in range(self.most):
-            state = self.light.render(rho, E, gamma, self.b)
+            state = self.light.render(rho, E, transfer, self.b)
             self.b = state.b
-            metric = metric_of(self.problem, gamma)
-            seen, _ = observe(self.problem, gamma)
+            metric = Metric(transfer)
+            seen, _ = observe(self.problem, transfer)
             if self.trace:
                 residual = metric.value(state.B) - metric.value(seen)
                 self.trace(iteration=self.iteration, image_rmse=rmse(self.problem, residual), state=state)
@@ -73,7 +73,7 @@ class _Alternation:
             change = np.max(np.abs(new - rho) / np.maximum(rho, 1e-6))
             rho = new
             if change > RUNAWAY[0] or rho.max() > RUNAWAY[1]:
-                return rho, False, self.light.render(np.clip(rho, 0, 0.999), E, gamma)
+                return rho, False, self.light.render(np.clip(rho, 0, 0.999), E, transfer)
             if change < self.threshold:
                 return rho, True, None
         return rho, False, None
@@ -111,8 +111,8 @@ class _Alternation:
 
     def result(self, state: State, converged) -> Result:
         """The end of the alternation."""
-        metric = metric_of(self.problem, state.gamma)
-        residual = metric.value(state.B) - metric.value(observe(self.problem, state.gamma)[0])
+        metric = Metric(state.transfer)
+        residual = metric.value(state.B) - metric.value(observe(self.problem, state.transfer)[0])
         error = rmse(self.problem, residual)
         return Result(state, converged, self.iteration, error, tile_residual=residual, residual=self.light.residual)
 

@@ -48,19 +48,16 @@ class TilePixels:
         return np.add.reduceat(values, self.start[:-1], axis=0) / self.count
 
     def linear(self, transfer: Transfer):
-        """Linear mean of each tile, and its derivative with respect to gamma: (T, C), (T, C).
+        """Linear mean of each tile, (T, C), and its derivatives by the transfer function's parameters, (T, C, P).
 
         It is mean(T^-1(I)), never T^-1(mean(I)): docs/design.md, Jensen.
         """
-        if transfer.kind != "gamma":
-            mean = self._mean(transfer.linear(self.pixels))
-            return mean, np.zeros_like(mean)
-        levels = self.pixels if self._levels is None else self._levels
-        power = levels**transfer.gamma
-        slope = power * np.log(np.maximum(levels, 1e-30))
-        if self._levels is not None:
-            power, slope = power[self._index], slope[self._index]
-        return self._mean(power), self._mean(slope)
+        levels = self.pixels if self._levels is None or transfer.kind == "linear" else self._levels
+        value, slope = transfer.linear(levels), transfer.linear_by_parameters(levels)
+        at = (lambda values: values[self._index]) if levels is self._levels else lambda values: values
+        slopes = [self._mean(at(slope[..., k])) for k in range(slope.shape[-1])]
+        mean = self._mean(at(value))
+        return mean, np.stack(slopes, axis=-1) if slopes else np.zeros((*mean.shape, 0))
 
     def display(self):
         """Mean display value of each tile, (T, C)."""
@@ -145,6 +142,7 @@ class Problem:
     F : (N, N) array or CSR;  D : (N, L);  patch_group : (N,) int;  area : (N,)
     G : (T, N) CSR with the sub-cell correction of the sources, as F has it;  G_plain : without it;  D_tile : (T, L)
     tile_group, tile_object : (T,) int;  start : (T + 1,) into pixels;  pixels : (M, C) display
+    transfer : as given, or where its search begins;  fit_transfer : its parameters are free
     emittance : (L, C), NaN where unknown;  rho : (G, C), NaN where unknown, 0 for lamps, the given value for references
     halves : None where only one set of rays is known;  group_area : (G,)
     specular : light by way of mirrors and glossy surfaces, None where every group is diffuse
@@ -166,8 +164,8 @@ class Problem:
     lamps: tuple
     emittance: np.ndarray
     rho: np.ndarray
-    metric: Metric
-    fit_gamma: bool
+    transfer: Transfer
+    fit_transfer: bool
     halves: Halves | None = None
     group_area: np.ndarray | None = None
     specular: SpecularTerms | None = None
@@ -213,11 +211,15 @@ class State:
 
     rho: np.ndarray
     E: np.ndarray
-    gamma: float
+    transfer: Transfer
     B: np.ndarray
     b: np.ndarray
     rho_s: np.ndarray | None = None
     bend: np.ndarray | None = None
+
+    @property
+    def gamma(self):
+        return self.transfer.gamma
 
 
 @dataclass(eq=False)
@@ -225,6 +227,7 @@ class Result:
     """A fit. sigma_* : standard deviations, shaped as the values, None where none were found.
 
     tile_residual : (T, C) display, synthesis minus photograph;  residual : of the light balance
+    cov_transfer : (P, P) of its parameters, None where none is fitted;  at : the equations at the end
     misfit : typical tile residual over what pixel noise and sampling explain;  shares : median relative sigma by cause
     """
 
@@ -234,14 +237,21 @@ class Result:
     rmse: float
     sigma_rho: np.ndarray | None = None
     sigma_E: np.ndarray | None = None
-    sigma_gamma: float | None = None
+    cov_transfer: np.ndarray | None = None
     sigma_rho_s: np.ndarray | None = None
     sigma_bend: np.ndarray | None = None
     tile_residual: np.ndarray | None = None
     residual: float | None = None
     misfit: float = 0.0
     shares: dict = field(default_factory=dict)
+    at: Any = field(default=None, repr=False)
     warnings: list = field(default_factory=list)
+
+    @property
+    def sigma_gamma(self):
+        """Of gamma, None where it is not fitted."""
+        fitted = self.cov_transfer is not None and self.state.transfer.kind == "gamma"
+        return float(np.sqrt(self.cov_transfer[0, 0])) if fitted else None
 
     @property
     def balanced(self):
@@ -252,33 +262,21 @@ class Result:
 # -- what is seen, and how far a synthesis is from it
 
 
-def metric_of(problem: Problem, gamma) -> Metric:
-    """Where photograph and synthesis are compared, at this gamma."""
-    if problem.metric.transfer.kind == "gamma":
-        return Metric(Transfer("gamma", gamma))
-    return problem.metric
+def observe(problem: Problem, transfer: Transfer):
+    """Linear means of the tiles (T, C), and their derivatives by the parameters of the transfer function, (T, C, P)."""
+    return problem.photograph.linear(transfer)
 
 
-def observe(problem: Problem, gamma):
-    """Linear means of the tiles and their derivatives in gamma, (T, C) each."""
-    return problem.photograph.linear(metric_of(problem, gamma).transfer)
-
-
-def display_residual(problem: Problem, B, gamma):
-    """Synthesis minus photograph in display values, and its derivatives in B and in gamma: (T, C) each."""
-    metric = metric_of(problem, gamma)
-    seen, seen_slope = observe(problem, gamma)
+def display_residual(problem: Problem, B, transfer: Transfer):
+    """Synthesis minus photograph in display values, and its derivatives: by B (T, C), by the transfer's (T, C, P)."""
+    metric = Metric(transfer)
+    seen, seen_slope = observe(problem, transfer)
     residual = metric.value(B) - metric.value(seen)
     slope = metric.slope(B)
-    by_gamma = np.zeros_like(residual)
-    if problem.fit_gamma:
-
-        def fixed(B):  # d (B ** (1 / gamma)) / d gamma at fixed B: the factor -1 / gamma^2 that eq. 4.2 lacks
-            B = np.maximum(B, 1e-12)
-            return -metric.value(B) * np.log(B) / gamma**2
-
-        by_gamma = fixed(B) - fixed(seen) - metric.slope(seen) * seen_slope
-    return residual, slope, by_gamma
+    if not problem.fit_transfer:
+        return residual, slope, np.zeros((*B.shape, 0))
+    by = metric.by_parameters
+    return residual, slope, by(B) - by(seen) - metric.slope(seen)[..., None] * seen_slope
 
 
 def weights(problem: Problem, residual):
@@ -317,13 +315,13 @@ def rmse(problem: Problem, residual):
 # -- where the search begins, and what stands in for what is not seen
 
 
-def initialise(problem: Problem, gamma):
+def initialise(problem: Problem, transfer: Transfer):
     """Reflectances (G, C) and lamps (L, C) by eq. 4.3: rho_i is the mean of P ** gamma over the pixels of group i.
 
     A group never seen starts at the seen groups' mean by area, an unknown lamp at the power that suits the picture's
     mean.
     """
-    seen, _ = observe(problem, gamma)
+    seen, _ = observe(problem, transfer)
     mean = group_mean(problem, seen)
     rho = np.where(np.isnan(problem.rho), np.clip(mean, 0.02, 0.9), problem.rho)
     prior, _ = unseen_prior(problem, rho)

@@ -43,7 +43,7 @@ def refit(site: Site, here: Climb, options, trace=None) -> Climb:
         return _SpecularFit(site, here, options, trace, textured, variance).climb()
     state, tiles = here.result.state, tiles_of(site, None, Chains(0), textured)
     problem = assemble(site, None, tiles, None, Unknown(site.base.rho, None, [], variance))
-    result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.gamma), **options)
+    result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
     trace("last", result)
     found, patterns = misfits.audit(site.subcell, problem, result, tiles, None, textured)
     return replace(here, problem=problem, result=result, scale=scale, tiles=tiles, misfits=found, patterns=patterns)
@@ -114,7 +114,7 @@ class _SpecularFit:
                 rho_s[m] = np.clip(place.rho_s, 1e-3, 1)
             if place.rung == "mirror":
                 rho_s[m], free[m] = 1, 1
-        return known, free, Unknowns(rho, state.E, state.gamma, rho_s)
+        return known, free, Unknowns(rho, state.E, state.transfer, rho_s)
 
     def _assembled(self, **more) -> Problem:
         unknown = Unknown(self.rho, self.free, self.shapes, self.variance)
@@ -130,7 +130,7 @@ class _SpecularFit:
             result = gauss_newton(problem, start=start, finish=False, **options)
             self.trace("shapes", result)
             state = result.state
-            start = Unknowns(state.rho, state.E, state.gamma, state.rho_s)
+            start = Unknowns(state.rho, state.E, state.transfer, state.rho_s)
             self._bend(problem, state.bend)
             change = np.abs(np.log(np.maximum(self.finish.alpha, 1e-6) / np.maximum(traced_alpha, 1e-6)))
             if np.max(change, initial=0) > RETRACE:
@@ -176,7 +176,7 @@ class _SpecularFit:
             problem = replace(problem, specular=replace(problem.specular, rho_s=self.free, _mixtures={}))
             state = result.state
             rho_s = np.where(np.isnan(self.free), state.rho_s, self.free)
-            result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.gamma, rho_s), **self.options)
+            result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer, rho_s), **self.options)
             self.trace("last", result)
         return problem, result, scale
 

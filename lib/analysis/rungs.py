@@ -12,10 +12,11 @@ import numpy as np
 
 from lib.analysis.lobes import HIGHEST, LOWEST, lobes
 from lib.analysis.misfits import ENOUGH, Misfit, misfit
-from lib.analysis.problem import Problem, State, TilePixels, metric_of
+from lib.analysis.problem import Problem, State, TilePixels
 from lib.analysis.receivers import Receivers, few
 from lib.analysis.site import Site
 from lib.analysis.specular_ways import PLAIN, SHEEN, irradiance_past
+from lib.given.transfer import Metric
 from lib.light import lamps, specular_lamps
 from lib.light.chains import GLOSSY, MIRROR, Chains, Finish
 
@@ -57,14 +58,14 @@ class LightSoFar(NamedTuple):
 
     @property
     def metric(self):
-        return metric_of(self.problem, self.state.gamma)
+        return Metric(self.state.transfer)
 
     def irradiance(self, site: Site, t: Receivers):
         """(T, C) of tiles, without what comes by specular ways."""
         return t.direct @ self.state.E + (t.rows.matrix() @ site.subcell) @ self.state.b
 
     def misfit(self, B, seen, n_pixels, spread=0.0) -> Misfit:
-        return misfit(self.problem, self.state.gamma, B, seen, n_pixels, spread)
+        return misfit(self.problem, self.state.transfer, B, seen, n_pixels, spread)
 
 
 def _with(finish: Finish, group, kind) -> Finish:

@@ -9,8 +9,8 @@ import numpy as np
 
 from lib.analysis.climbing import Climb
 from lib.analysis.misfits import misfit
-from lib.analysis.problem import metric_of
 from lib.analysis.site import Site
+from lib.given.transfer import Metric
 from lib.light.surface import facet_areas
 from lib.picture import albedo_maps, indirect, pixel_light
 from lib.picture.appearance import Appearance
@@ -50,7 +50,7 @@ def albedo_maps_of(site: Site, climb: Climb) -> dict:
     leaves = indirect.gather(surface, lit.shown, lit.lamps, lit.E, seen, by_lamps)
     irradiance = np.zeros((*facet.shape, site.channels))
     irradiance[seen.y, seen.x] = by_lamps + interpolated(leaves, seen)
-    metric = metric_of(climb.problem, state.gamma)
+    metric = Metric(state.transfer)
     linear = metric.transfer.linear(view.photograph.values)
     level = np.median(linear[facet >= 0], axis=0) if (facet >= 0).any() else np.ones(site.channels)
     # one noise for all: noise by pixel would weigh dark ones more
@@ -69,7 +69,7 @@ def albedo_maps_of(site: Site, climb: Climb) -> dict:
             for f, texture in found[g].items():
                 at = np.flatnonzero(seen.facet[mine] == f)
                 B[at] = albedo_maps.lookup(texture, surface, seen.p[mine[at]]) * irradiance[y[at], x[at]]
-            climb.misfits[g] = misfit(climb.problem, state.gamma, B, linear[y, x], np.ones(len(mine)))
+            climb.misfits[g] = misfit(climb.problem, state.transfer, B, linear[y, x], np.ones(len(mine)))
     site.effort.note("textured pixels", len(seen))
     return found
 

@@ -137,10 +137,10 @@ class TileLight:
         """Radiosity of the tiles, (T, C)."""
         return self.matrices.seen * rho[self.problem.tile_group] * self.tiles(E, b) + self.lobes(E, b, bend)
 
-    def render(self, rho, E, gamma, x0=None) -> State:
+    def render(self, rho, E, transfer, x0=None) -> State:
         """The tiles at these reflectances and lamps."""
         b, _ = self.solve(rho, E, x0)
-        return State(rho, E, gamma, self.shown(rho, E, b), b)
+        return State(rho, E, transfer, self.shown(rho, E, b), b)
 
 
 def product(A, x):

@@ -27,12 +27,19 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         cov = cov + normal.spread(error)
     for cause, delta in common.items():
         size, typical = _at_least_typical(delta, normal.theta, at, problem)
-        cov = cov + np.diag((size * np.maximum(np.abs(normal.theta), LEAST)) ** 2)
+        common = np.diag((size * np.maximum(np.abs(normal.theta), LEAST)) ** 2)
+        own = slice(at.layout.ends[-1], None)
+        common[own, own] = np.outer(delta[own], delta[own])  # the points of a curve move together
+        cov = cov + common
         result.shares[cause] = typical
     if result.misfit > MISFIT:
         cov = cov * result.misfit**2  # what noise does not explain may be anything: every value is as uncertain
     sigma = np.maximum(np.sqrt(np.maximum(np.diag(cov), 0)), normal.loose)
     _share_out(sigma, at, result)
+    if at.layout.transfer:
+        own = slice(at.layout.ends[-1], None)
+        grown = sigma[own] / np.sqrt(np.maximum(np.diag(cov)[own], 1e-300))
+        result.cov_transfer = cov[own, own] * np.outer(grown, grown)
 
 
 class _Normal:
@@ -43,7 +50,7 @@ class _Normal:
         self.theta = at.layout.pack(at.state)
         self.J = at.jacobian()
         self.weight = weights(problem, at.residual).reshape(-1)
-        self.prior = np.diag(at.prior()[1])
+        self.prior = at.prior()[1]
         self.pixel = np.repeat(problem.pixel_noise**2 / problem.n_pixels, problem.channels)
         H = self.J.T @ (self.weight[:, None] * self.J) + self.prior
         self.inverse, self.loose = _inverse(H, self.theta)
@@ -68,15 +75,9 @@ class _Normal:
         return -self.inverse @ (self.J.T @ (self.weight * (self.at.slope * dB).reshape(-1)))
 
 
-def _rho_tile(problem, at):
-    """(T, C) what tiles show of their irradiance."""
-    light = at.light.at(at.state.rho_s)
-    return light.matrices.seen * at.state.rho[problem.tile_group]
-
-
 def _tile_errors(problem, at, result):
     """Errors (T, C) in display values that are independent from tile to tile; sets the misfit beside them."""
-    state, rho_tile, found = at.state, _rho_tile(problem, at), []
+    state, rho_tile, found = at.state, at.shown_share, []
     if problem.specular is not None and problem.specular.spread:
         found.append(at.slope * rho_tile * at.light.bent(*problem.specular.spread, state.E, state.b))
     if problem.halves:
@@ -91,7 +92,7 @@ def _tile_errors(problem, at, result):
 
 def _common_errors(problem, at, normal):
     """{cause: change (n,) of the parameters, one standard deviation}: causes that move all tiles together."""
-    state, rho_tile = at.state, _rho_tile(problem, at)
+    state, rho_tile = at.state, at.shown_share
     found = {"discretisation": 0.5 * normal.push(rho_tile * ((problem.G - problem.G_plain) @ state.b))}
     for doubt in problem.specular.doubts if problem.specular is not None else ():
         found[doubt.cause] = normal.push(at.light.bent(doubt.W, doubt.V, state.E, state.b))
@@ -128,7 +129,6 @@ def _share_out(sigma, at, result):
         result.sigma_rho_s = np.zeros(state.rho_s.shape)
         result.sigma_rho_s[tuple(layout.rho_s.T)] = sigma[n_E:n_s]
         result.sigma_bend = sigma[n_s:n_bend]
-    result.sigma_gamma = float(sigma[-1]) if layout.gamma else None
 
 
 def _inverse(H, theta):

@@ -11,13 +11,15 @@ Every field but `groups` may be missing in a file that somebody wrote by hand; i
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
 from lib.core import artefact, record
-from lib.core.record import Wrong, flag, items, number, numbers, part, plain, table_of, told, word
+from lib.core.record import Wrong, flag, items, matrix, number, numbers, part, plain, table_of, table_with, told, word
 from lib.given import transfer_kinds
 from lib.given.kinds import KINDS, LOBES, MIRRORS
+from lib.given.transfer import Transfer
 
 STATUSES = ("converged", "not converged", "nothing seen")  # of a fit; truth says "truth"
 SCALES = ("lamps", "reference", "interreflection", "convention")
@@ -28,6 +30,20 @@ def _textures(value):
         if not facet.isdecimal() or not isinstance(file, str):
             raise Wrong(f"has {facet}: {file!r}, which is not a facet's number and a file")
     return {int(facet): file for facet, file in value.items()}
+
+
+def _rising(value):
+    """Samples of a curve: at least 64 numbers that rise from 0 to 1."""
+    good = isinstance(value, list) and len(value) >= 64 and all(isinstance(v, int | float) for v in value)
+    if not good or value[0] != 0 or value[-1] != 1 or any(b <= a for a, b in itertools.pairwise(value)):
+        raise Wrong("is not at least 64 numbers that rise from 0 to 1")
+    return tuple(map(float, value))
+
+
+def _sigma_of_transfer(value):
+    if isinstance(value, list):
+        return matrix(1, unknown=True)([value])[0]
+    return number(0)(value)
 
 
 # ---- what the file holds ----
@@ -106,15 +122,33 @@ class Lamp:
 
 @dataclass(frozen=True)
 class FoundTransfer:
-    """gamma, sigma : of kind `gamma` alone; sigma is None where gamma was given"""
+    """gamma : of kind `gamma`;  sigma : of gamma, or of each display value of a curve; None where it was given
+
+    linear, display : (n,) samples of a `curve`, rising from 0 to 1
+    matrix : of a curve, camera-linear = matrix x scene, (3, 3) or None
+    asked : what scene.yaml asks for;  rivals : {kind: nats by which held-out tiles prefer it to this one}
+    """
 
     kind: str | None = told(word(*transfer_kinds.KINDS))
     gamma: float | None = told(number(0))
-    sigma: float | None = told(number(0))
+    linear: tuple | None = told(_rising)
+    display: tuple | None = told(_rising)
+    sigma: float | tuple | None = told(_sigma_of_transfer)
+    matrix: tuple | None = told(matrix(3, 3))
+    asked: str | None = told(word(), absent=True)
+    rivals: dict | None = told(table_with(number(), "numbers"), absent=True)
 
     def written(self):
         """The fields that a file shows."""
-        return ("kind", "gamma", "sigma") if self.kind == "gamma" else ("kind",)
+        own = {"gamma": ("gamma", "sigma"), "curve": ("linear", "display", "matrix", "sigma")}
+        return ("kind", *own.get(self.kind, ()), "asked", "rivals")
+
+    @property
+    def function(self) -> Transfer:
+        """What takes light to display values."""
+        if self.kind == "curve":
+            return Transfer("curve", samples=(self.linear, self.display))
+        return Transfer(self.kind, self.gamma or 1.0)
 
 
 @dataclass(frozen=True)

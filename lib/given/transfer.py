@@ -7,12 +7,17 @@ Convention: T(B) = clip(B, 0, 1) ** (1 / gamma). The paper prints B ** (1 / gamm
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from lib.given import tone_curve
+
 TINY = 1e-8  # radiosity below which a slope is not followed: B ** (1 / gamma) is vertical at 0
+GAMMA_RANGE = 0.2, 8.0  # of an unknown gamma
+SLOPE_RANGE = 0.2, 25.0  # of the log-log slope of an unknown curve
 SRGB_KNEE = 0.0031308  # linear value below which sRGB is a straight line
 
 
@@ -47,27 +52,88 @@ def display_of_linear(B) -> np.ndarray:
     return np.clip(B, 0, 1) ** (1 / 2.2)
 
 
+def _joined(x, y, at):
+    """y at `at`, straight between the samples (n,) of x and y; beyond the last one it goes on as it ended."""
+    beyond = np.maximum(np.asarray(at) - x[-1], 0) * (y[-1] - y[-2]) / (x[-1] - x[-2])
+    return np.interp(at, x, y) + beyond
+
+
+def _rise(linear, display, B):
+    k = np.clip(np.searchsorted(linear, B, side="right"), 1, len(linear) - 1)
+    return (display[k] - display[k - 1]) / (linear[k] - linear[k - 1])
+
+
 @dataclass(frozen=True)
 class Transfer:
-    """kind : of transfer_kinds.OF_LIGHT (those of OF_PICTURE are linear until the picture is displayed)"""
+    """kind : of transfer_kinds.OF_LIGHT (those of OF_PICTURE are linear until the picture is displayed)
+
+    gamma : of the kind gamma;  shape : of the kind curve, (K,) as in lib/given/tone_curve.py
+    samples : of a curve without a shape, linear and display values that rise from 0 to 1
+    """
 
     kind: str
     gamma: float = 1.0
+    shape: tuple = ()
+    samples: tuple = ()
 
     def display(self, B) -> np.ndarray:
         """Linear -> display, same shape. A linear image is not clipped: above 1 is light."""
         if self.kind == "linear":
             return np.asarray(B, float)
         B = np.clip(B, 0, 1)
-        return CURVES[self.kind].display(B) if self.kind in CURVES else B ** (1 / self.gamma)
+        return self.curve.display(B) if self.curve else B ** (1 / self.gamma)
 
     def linear(self, I) -> np.ndarray:
         """Display -> linear, the inverse of `display` on [0, 1]."""
         if self.kind == "linear":
             return np.asarray(I, float)
-        if self.kind in CURVES:
-            return CURVES[self.kind].linear(I)
-        return np.asarray(I, float) ** self.gamma
+        return self.curve.linear(I) if self.curve else np.asarray(I, float) ** self.gamma
+
+    @property
+    def curve(self) -> Curve | None:
+        """The three functions of a kind that has no formula with gamma; None of gamma and linear."""
+        if self.kind != "curve":
+            return CURVES.get(self.kind)
+        if self.samples:
+            x, y = (np.array(values) for values in self.samples)
+            return Curve(partial(_joined, x, y), partial(_joined, y, x), partial(_rise, x, y))
+        return Curve(*(partial(f, c=self.shape) for f in (tone_curve.display, tone_curve.linear, tone_curve.slope)))
+
+    # ---- parameters: what a fit may change
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """(P,): gamma, or the shape of a curve; none of other kinds."""
+        values = {"gamma": (self.gamma,), "curve": self.shape}.get(self.kind, ())
+        return np.array(values, float)
+
+    def moved(self, parameters) -> Transfer:
+        """The same kind with other parameters (P,)."""
+        if self.kind == "gamma":
+            return replace(self, gamma=float(parameters[0]))
+        return replace(self, shape=tuple(map(float, parameters))) if self.kind == "curve" else self
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Between which each parameter stays."""
+        return (np.log(SLOPE_RANGE[0]), np.log(SLOPE_RANGE[1])) if self.kind == "curve" else GAMMA_RANGE
+
+    def linear_by_parameters(self, I) -> np.ndarray:
+        """d linear / d parameters at display values I, (..., P)."""
+        if self.kind == "curve":
+            return tone_curve.linear_by_c(I, self.shape)
+        if self.kind == "gamma":
+            return (self.linear(I) * np.log(np.maximum(I, 1e-30)))[..., None]
+        return np.zeros((*np.shape(I), 0))
+
+    def as_curve(self) -> Transfer:
+        """The curve of the same display values, as near as a curve's knots allow."""
+        if self.kind == "curve":
+            return self
+        knots = np.array(tone_curve.KNOTS)
+        step = 1e-4
+        slope = np.log(self.linear(knots) / self.linear(knots * (1 - step))) / -np.log1p(-step)
+        return Transfer("curve", shape=tuple(map(float, np.log(slope))))
 
 
 @dataclass(frozen=True)
@@ -80,10 +146,6 @@ class Metric:
     transfer: Transfer
 
     @property
-    def _curve(self) -> Curve | None:
-        return CURVES.get(self.transfer.kind)
-
-    @property
     def exponent(self) -> float:
         """Of B, where the metric is a power."""
         return 1 / (self.transfer.gamma if self.transfer.kind == "gamma" else 2.2)
@@ -91,11 +153,24 @@ class Metric:
     def value(self, B) -> np.ndarray:
         """Unclipped display value of B >= 0."""
         B = np.maximum(B, 0)
-        return self._curve.display(B) if self._curve else B**self.exponent
+        curve = self.transfer.curve
+        return curve.display(B) if curve else B**self.exponent
 
     def slope(self, B) -> np.ndarray:
         """d value / d B."""
         B = np.maximum(B, TINY)
-        if self._curve:
-            return self._curve.slope(B)
+        if curve := self.transfer.curve:
+            return curve.slope(B)
         return self.exponent * B ** (self.exponent - 1)
+
+    def by_parameters(self, B) -> np.ndarray:
+        """d value / d parameters of the transfer function at fixed B, (..., P).
+
+        Of gamma it has the factor -1 / gamma^2 that eq. 4.2 lacks.
+        """
+        B = np.maximum(B, 1e-12)
+        if self.transfer.kind == "gamma":
+            return (-self.value(B) * np.log(B) / self.transfer.gamma**2)[..., None]
+        if self.transfer.kind == "curve":
+            return tone_curve.display_by_c(B, self.transfer.shape)
+        return np.zeros((*np.shape(B), 0))

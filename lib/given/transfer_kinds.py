@@ -4,6 +4,6 @@ The formulas are in `lib/given/transfer.py`. The names stand apart because plann
 """
 
 CURVES = {"srgb": "sRGB"}  # functions without a parameter, and how people write them
-OF_LIGHT = ("gamma", "linear", *CURVES)  # functions of a pixel's light alone
+OF_LIGHT = ("gamma", "linear", *CURVES, "curve")  # functions of a pixel's light alone
 OF_PICTURE = ("linear_per_group", "histogram", "histogram_per_group")  # look at the photograph; fitted as `linear`
 KINDS = (*OF_LIGHT, *OF_PICTURE)

@@ -81,8 +81,9 @@ def _problems(found, groups, lamps):
         if lamp is None or lamp.emittance is None:
             yield f"lamp {name!r}: {'missing' if lamp is None else 'emittance = None'}"
     transfer = found.transfer
-    if transfer.kind is None or (transfer.kind == "gamma" and not transfer.gamma):
-        yield f"transfer: {'kind' if transfer.kind is None else 'gamma'}: missing"
+    needed = {None: "kind", "gamma": "gamma", "curve": "linear"}.get(transfer.kind)
+    if needed and not getattr(transfer, needed):
+        yield f"transfer: {needed}: missing"
 
 
 def _finish(specular, channels):

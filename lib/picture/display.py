@@ -1,6 +1,6 @@
 """§4.3 From the linear picture to the displayed one, and how far it is from the photograph.
 
-    shown = finished(B, kind, photograph, group, pure, gamma)      # any transfer of scene.yaml
+    shown = finished(B, transfer, photograph, group, pure)      # any transfer of scene.yaml
     rmse(shown, photograph), ciede2000(shown, photograph)
 
 Functions of B alone are `transfer_kinds.OF_LIGHT`. The paper's other candidates look at the photograph and are
@@ -18,7 +18,8 @@ from lib.core import packages
 from lib.given.transfer import CURVES, Transfer
 from lib.given.transfer_kinds import KINDS
 
-AS_FITTED = ("gamma", *CURVES)  # reflectances are fitted under these as they are, under the others as under `linear`
+# reflectances are fitted under these as they are, under the others as under `linear`
+AS_FITTED = ("gamma", "curve", *CURVES)
 NOTES = {
     "linear_per_group": "[min, max] of each group and channel taken to the photograph's",
     "histogram": "one T = E2^-1(E1(B)) for all channels",
@@ -26,17 +27,18 @@ NOTES = {
 }
 
 
-def finished(B, kind, photograph, group, pure, gamma=1.0):
+def finished(B, transfer: Transfer, photograph=None, group=None, pure=None):
     """Display values in [0, 1], (H, W, C).
 
-    B : (H, W, C) linear;  kind : of KINDS;  photograph : (H, W, C) display;  group : (H, W) int, -1 = nothing
+    B : (H, W, C) linear, any shape where the function is one of light alone;  transfer : of any of KINDS
+    photograph : (H, W, C) display;  group : (H, W) int, -1 = nothing
     pure : (H, W) bool, pixels that show one facet: they alone say what a group's values are
-    gamma : of the kind `gamma`
     """
+    kind = transfer.kind
     if kind == "linear":
         return np.clip(B, 0, 1)
     if kind in AS_FITTED:
-        return Transfer(kind, gamma).display(B)
+        return transfer.display(B)
     if kind == "histogram":
         # one function for the picture, all channels together: the camera has one transfer function
         return _matched(B.ravel(), B.ravel(), photograph.ravel()).reshape(B.shape)
@@ -106,33 +108,35 @@ def scores(shown, photograph, group, groups):
     }
 
 
-def transfer_models(B, photograph, group, pure, kind, gamma, fitted):
+def transfer_models(B, photograph, group, pure, transfer: Transfer, fitted):
     """What each transfer function of the paper leaves (figures 4.4-4.6): a list of {kind, rmse, rmse_refitted, note}.
 
-    kind, gamma : of the fit;  fitted : (H, W) bool, pixels that count (no lamps)
+    transfer : of the fit;  fitted : (H, W) bool, pixels that count (no lamps)
 
     `rmse` is of the same linear picture B in every row. `rmse_refitted` is after each group's radiosities were
     multiplied by the factor (per channel) that suits that transfer best: its reflectances fitted again, at fixed light.
     For the candidates that look at the photograph that factor is the one for `linear`, as the paper has it.
     """
-    own = _under(kind)
-    best = gamma if kind == "gamma" else _best_gamma(B, photograph, fitted)
+    own = _under(transfer.kind)
+    best = transfer.gamma if transfer.kind == "gamma" else _best_gamma(B, photograph, fitted)
     samples = _samples(B, photograph, group, fitted)
-    candidates = [("gamma", best, f"gamma {best:.4g}"), ("gamma", 2.2, "given gamma 2.2")]
-    candidates += [(name, 1.0, NOTES.get(name, "")) for name in KINDS[1:]]
+    candidates = [(Transfer("gamma", best), f"gamma {best:.4g}"), (Transfer("gamma", 2.2), "given gamma 2.2")]
+    candidates += [(Transfer(name), NOTES.get(name, "")) for name in KINDS if name not in ("gamma", "curve")]
+    candidates += [(transfer, "")] * (transfer.kind == "curve")
     rows, refitted = [], {}
-    for name, g, note in candidates:
-        under = _under(name)
-        if (under, g) not in refitted:
-            refitted[under, g] = B * _factors(samples, under, g)[np.maximum(group, 0)]
-        error = lambda picture, name=name, g=g: rmse(finished(picture, name, photograph, group, pure, g), photograph)
-        other = under != own or (name == "gamma" and g != gamma)
+    for candidate, note in candidates:
+        under = candidate if candidate.kind in AS_FITTED else Transfer("linear")
+        if under not in refitted:
+            refitted[under] = B * _factors(samples, under)[np.maximum(group, 0)]
+        error = lambda picture, T=candidate: rmse(finished(picture, T, photograph, group, pure), photograph)
+        under = _under(candidate.kind)
+        other = under != own or (candidate.kind == "gamma" and candidate.gamma != transfer.gamma)
         how = f"reflectances fitted under {own}, refitted under {under}" if other else "the transfer of the fit"
         rows.append(
             {
-                "kind": name,
+                "kind": candidate.kind,
                 "rmse": error(B),
-                "rmse_refitted": error(refitted[under, g]),
+                "rmse_refitted": error(refitted[candidate if candidate.kind in AS_FITTED else Transfer("linear")]),
                 "note": f"{note}; {how}" if note else how,
             }
         )
@@ -161,7 +165,7 @@ def _samples(B, photograph, group, fitted, most=2000):
     return [Sample(B[y[s], x[s]], photograph[y[s], x[s]]) for s in chosen]
 
 
-def _factors(samples, kind, gamma):
+def _factors(samples, transfer: Transfer):
     """(G, C) factors of the groups' radiosities for the least squares of the display values.
 
     Gauss-Newton on their logarithms.
@@ -172,7 +176,7 @@ def _factors(samples, kind, gamma):
             continue
         log = np.zeros(B.shape[1])
         for _ in range(8):
-            low, high = (finished(B * np.exp(log + h), kind, None, None, None, gamma) for h in (-1e-4, 1e-4))
+            low, high = (finished(B * np.exp(log + h), transfer) for h in (-1e-4, 1e-4))
             slope = (high - low) / 2e-4
             towards = ((want - (low + high) / 2) * slope).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-12)
             step = np.clip(towards, -1, 1)

@@ -85,12 +85,12 @@ class Subject:
         return self.view.photograph.linear or self.transfer.kind in OF_LIGHT
 
     def show(self, B):
-        """Linear -> display values in [0, 1], any shape for gamma, linear and srgb, whole pictures for the others."""
+        """Linear -> display values in [0, 1], any shape for functions of light alone, whole pictures for the others."""
         if self.view.photograph.linear:
             return display_of_linear(B)
         if self.simple:
-            return display.finished(B, self.transfer.kind, None, None, None, self.transfer.gamma)
-        return display.finished(B, self.transfer.kind, self.wanted, self.group, self.pure, self.transfer.gamma)
+            return display.finished(B, self.transfer)
+        return display.finished(B, self.transfer, self.wanted, self.group, self.pure)
 
     def quantised(self, shown):
         """What the file will say, and its largest number; an EXR is compared as it is and shown in 8 bits."""
@@ -120,8 +120,7 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
     if traced is not None and not traced.fits(look.finish, len(factors.mesh)):
         traced = None
     surface = surfaces.surface(view.model, factors.lamps)
-    transfer = Transfer(found.transfer.kind, found.transfer.gamma or 1.0)
-    return Subject(view, surface, factors, pieces, look, transfer, traced, warnings)
+    return Subject(view, surface, factors, pieces, look, found.transfer.function, traced, warnings)
 
 
 @dataclass(frozen=True)

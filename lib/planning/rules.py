@@ -13,7 +13,7 @@ from lib.given.kinds import KINDS
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "goals", "augment", "params")
-TRANSFERS = (*transfer_kinds.OF_LIGHT, "curve", *transfer_kinds.OF_PICTURE)
+TRANSFERS = ("auto", *transfer_kinds.KINDS)
 
 
 def show(value) -> str:
@@ -106,8 +106,6 @@ def transfer(value):
             yield "transfer.gamma", value["gamma"], "is not a positive number"
     elif not isinstance(value, str) or value not in TRANSFERS:
         yield "transfer", value, f"is none of {', '.join(TRANSFERS)}, {{gamma: 2.2}}"
-    elif value == "curve":
-        yield "transfer", value, "is not built yet"
 
 
 def surfaces(value):

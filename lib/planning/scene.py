@@ -58,7 +58,7 @@ class Scene:
             return self.name
         if key == "transfer" and self.transfer is None:
             photograph = self.given(PHOTOGRAPH)
-            return "linear" if photograph and photograph.suffix == ".exr" else "gamma"
+            return "linear" if photograph and photograph.suffix == ".exr" else "auto"
         return getattr(self, key)
 
 

@@ -1,0 +1,116 @@
+"""How well an explanation predicts what it has not seen: log-likelihood of held-out tiles.
+
+Explanations compete on tiles that their parameters were not fitted to: each group's tiles are cut into FOLDS runs of
+neighbours, and each run is predicted from the others. The fit is not repeated: one Gauss-Newton step from the fit of
+all tiles leaves a run out, since the equations are nearly linear there.
+
+Residuals follow Student's t with 4 degrees of freedom: groups that a diffuse surface does not explain (a mirror, a
+texture) shall not decide which transfer function the camera has. Its width is the noise of pixels and rays and one
+discrepancy besides, whichever makes the residuals most likely: an explanation is better as far as it leaves less. The
+channels of a tile count as one observation, since shadows and rays move them together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.analysis.equations import Equations
+from lib.analysis.problem import Problem, weights
+
+FOLDS = 4
+FREEDOM = 4  # of Student's t
+DISCREPANCIES = np.concatenate([[0.0], np.geomspace(1e-4, 0.1, 40)])  # display
+NORMAL_MEDIAN = 0.455  # median of the square of a normal variable
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """nats : log-likelihood of the held-out tiles;  discrepancy : display, beyond noise, that makes them most likely"""
+
+    nats: float
+    discrepancy: float
+
+
+def folds(problem: Problem) -> np.ndarray:
+    """(T,) number of each tile's fold: FOLDS runs of each group's tiles, which stand facet by facet."""
+    group = problem.tile_group
+    order = np.argsort(group, kind="stable")
+    count = np.bincount(group, minlength=len(problem.groups))
+    rank = np.empty(len(group), int)
+    rank[order] = np.concatenate([np.arange(n) for n in count]) if len(group) else order
+    return rank * FOLDS // np.maximum(count[group], 1)
+
+
+def held_out(problem: Problem, residual, J, gradient, H) -> np.ndarray:
+    """Residuals (T, C) of the tiles as the other folds predict them.
+
+    residual : (T, C) at the fit of all tiles;  J : (T C, n) its derivatives;  gradient, H : (n,), (n, n) of the prior
+    """
+    weight, r = weights(problem, residual).reshape(-1), residual.reshape(-1)
+    fold = np.repeat(folds(problem), problem.channels)
+    weighted = weight[:, None] * J
+    runs = [fold == k for k in np.unique(fold)]
+    parts = [(J[run].T @ weighted[run], weighted[run].T @ r[run]) for run in runs]
+    total = H + sum(part[0] for part in parts), gradient + sum(part[1] for part in parts)
+    found = r.copy()
+    for run, part in zip(runs, parts, strict=True):
+        found[run] += J[run] @ _solved(total[0] - part[0], part[1] - total[1])
+    return found.reshape(residual.shape)
+
+
+def _solved(A, b):
+    """A x = b of a positive semidefinite A; a direction that nothing tells of is not moved."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    return np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-12)[0] / size
+
+
+def likelihood(residual, variance) -> Evidence:
+    """Of residuals (T, C) with the noise's variance, (T, C) or (T, 1), and the discrepancy that suits them best."""
+    from scipy.special import gammaln
+
+    nu, best = FREEDOM, Evidence(-np.inf, 0.0)
+    constant = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(np.pi * nu)
+    square = residual**2
+    for discrepancy in DISCREPANCIES:
+        width = variance + discrepancy**2
+        each = constant - 0.5 * np.log(width) - (nu + 1) / 2 * np.log1p(square / (nu * width))
+        nats = float(each.mean(axis=1).sum())
+        if nats > best.nats:
+            best = Evidence(nats, float(discrepancy))
+    return best
+
+
+def noise_variance(problem: Problem, at: Equations) -> np.ndarray:
+    """(T, 1) display: of the pixels, and of the tiles' own rays as their two halves tell it on the whole."""
+    variance = problem.pixel_noise**2 / problem.n_pixels[:, None]
+    if problem.halves is None or not len(variance):
+        return variance
+    shown = at.slope * 0.5 * at.shown_share * ((problem.halves.G0 - problem.halves.G1) @ at.state.b)
+    return variance + float(np.median(shown**2)) / NORMAL_MEDIAN
+
+
+def evidence(problem: Problem, at: Equations) -> Evidence:
+    """Of the fit that ended at these equations."""
+    gradient, H = at.prior()
+    predicted = held_out(problem, at.residual, at.jacobian(), gradient, H)
+    return likelihood(predicted, noise_variance(problem, at))
+
+
+def promised(problem: Problem, at: Equations, columns, own=slice(0, 0), prior=None) -> Evidence:
+    """What more parameters would bring, without fitting them: one step from the fit without them.
+
+    columns : (T, C, k) derivatives of the display residual by the new parameters;  own : parameters of the fit that
+    they replace;  prior : (k, k) Hessian of the new ones
+    """
+    keep = np.ones(at.layout.size, bool)
+    keep[own] = False
+    k = columns.shape[-1]
+    J = np.concatenate([at.jacobian()[:, keep], columns.reshape(-1, k)], axis=1)
+    gradient, H = at.prior()
+    wider = np.zeros((J.shape[1],) * 2)
+    wider[:-k, :-k] = H[np.ix_(keep, keep)]
+    wider[-k:, -k:] = np.zeros((k, k)) if prior is None else prior
+    predicted = held_out(problem, at.residual, J, np.append(gradient[keep], np.zeros(k)), wider)
+    return likelihood(predicted, noise_variance(problem, at))

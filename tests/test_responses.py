@@ -1,0 +1,111 @@
+"""The camera's own tone curve, and which transfer function a photograph supports."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lib.analysis import responses
+from lib.analysis.evidence import evidence
+from lib.analysis.gauss_newton import gauss_newton
+from lib.given import materials, tone_curve
+from lib.given.materials import FoundTransfer, Materials
+from lib.given.transfer import Metric, Transfer, srgb_from_linear
+from tests.test_fit import COLOURS, made
+
+LIGHT = np.linspace(1e-3, 1, 500)
+
+
+def sigmoid(B):
+    """A camera's picture style: gamma, then contrast about the middle."""
+    s = lambda x: 1 / (1 + np.exp(-6 * (x - 0.45)))
+    return (s(B ** (1 / 2.2)) - s(0)) / (s(1) - s(0))
+
+
+def film(B):
+    """Hable's filmic curve, white at 4."""
+    shape = lambda x: (x * (0.22 * x + 0.03) + 0.002) / (x * (0.22 * x + 0.3) + 0.06) - 1 / 30
+    return (shape(4 * B) / shape(4.0)) ** (1 / 2.2)
+
+
+def wavy():
+    return Transfer("curve", shape=tuple(np.log(2.2) + np.random.default_rng(3).normal(0, 0.3, len(tone_curve.KNOTS))))
+
+
+def test_a_curve_of_one_slope_is_a_gamma():
+    curve = Transfer("gamma", 1.8).as_curve()
+    np.testing.assert_allclose(curve.display(LIGHT), LIGHT ** (1 / 1.8), rtol=1e-9)
+    np.testing.assert_allclose(curve.linear(LIGHT), LIGHT**1.8, rtol=1e-9)
+
+
+@pytest.mark.parametrize("shown, most", [(srgb_from_linear, 2e-4), (film, 1e-3), (sigmoid, 2e-3)])
+def test_few_numbers_follow_real_curves(shown, most):
+    from scipy.optimize import least_squares
+
+    off = lambda c: tone_curve.display(LIGHT, tuple(c)) - shown(LIGHT)
+    assert np.abs(least_squares(off, np.full(len(tone_curve.KNOTS), 0.7)).fun).max() < most
+
+
+def test_a_curve_rises_from_black_to_white_and_has_an_inverse():
+    curve = wavy()
+    shown = curve.display(LIGHT)
+    assert (np.diff(shown) > 0).all() and curve.display(1.0) == 1 and curve.display(0.0) == 0
+    np.testing.assert_allclose(curve.linear(shown), LIGHT, rtol=1e-4)
+
+
+def test_derivatives_of_a_curve():
+    curve, h = wavy(), 1e-4
+    B = np.array([0.01, 0.1, 0.5, 0.9])
+    slope = (Metric(curve).value(B + h * B) - Metric(curve).value(B - h * B)) / (2 * h * B)
+    np.testing.assert_allclose(Metric(curve).slope(B), slope, rtol=2e-2)
+    for k, step in enumerate(h * np.eye(len(tone_curve.KNOTS))):
+        there, back = (curve.moved(curve.parameters + sign * step) for sign in (1, -1))
+        np.testing.assert_allclose(
+            Metric(curve).by_parameters(B)[:, k], (there.display(B) - back.display(B)) / (2 * h), atol=2e-3
+        )
+        np.testing.assert_allclose(
+            curve.linear_by_parameters(B)[:, k], (there.linear(B) - back.linear(B)) / (2 * h), atol=2e-3
+        )
+
+
+def photographed(shown, noise=0.01, seed=1, **more):
+    """A problem whose photograph went through `shown`, its reflectances, and its light."""
+    problem, rho, b = made(COLOURS, noise=noise, seed=seed, transfer="linear", **more)
+    pixels = np.round(shown(np.clip(problem.pixels, 0, 1)) * 255) / 255
+    start = Transfer("gamma", 2.2)
+    return replace(problem, pixels=pixels, transfer=start, fit_transfer=True), rho
+
+
+@pytest.mark.parametrize("shown, kind", [(lambda B: B ** (1 / 1.8), "gamma"), (film, "curve"), (sigmoid, "curve")])
+def test_the_simplest_function_that_the_photograph_supports(shown, kind):
+    problem, rho = photographed(shown)
+    chosen = responses.choose(problem, True, max_iterations=40)
+    assert chosen.problem.transfer.kind == kind and chosen.result.converged
+    seen = np.quantile(problem.photograph.linear(chosen.result.state.transfer)[0], (0.01, 0.99))
+    light = np.linspace(*seen, 100)
+    assert np.abs(chosen.result.state.transfer.display(light) - shown(light)).max() < 0.01
+
+
+def test_a_function_that_is_told_is_not_replaced_but_its_rival_is_named():
+    problem, _ = photographed(sigmoid)
+    chosen = responses.choose(problem, False, max_iterations=40)
+    assert chosen.problem.transfer.kind == "gamma" and chosen.rivals["curve"] > responses.enough(problem)
+
+
+def test_evidence_falls_with_a_wrong_function():
+    problem, _ = photographed(lambda B: B ** (1 / 2.2))
+    nats = {}
+    for gamma in (2.2, 2.6):
+        told = replace(problem, transfer=Transfer("gamma", gamma), fit_transfer=False)
+        nats[gamma] = evidence(told, gauss_newton(told, finish=False).at).nats
+    assert nats[2.2] > nats[2.6] + 10
+
+
+def test_a_curve_in_materials_json_comes_back(tmp_path):
+    I = np.linspace(0, 1, 200)
+    found = FoundTransfer("curve", linear=tuple(I**2.0), display=tuple(I), sigma=(None,) * 100 + (0.01,) * 100)
+    materials.write(tmp_path / "materials.json", Materials("converged", {}, transfer=found))
+    read = materials.read(tmp_path / "materials.json").transfer
+    np.testing.assert_allclose(read.function.display(LIGHT), LIGHT**0.5, atol=3e-4)
+    np.testing.assert_allclose(read.function.linear(LIGHT), LIGHT**2, atol=3e-5)
+    assert read.sigma[0] is None and read.sigma[-1] == 0.01
