@@ -16,6 +16,8 @@ from pathlib import Path
 sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
 from lib.core import stage
 
+OPEN = 0.03  # of a patch's light that leaves: more than rays that pass between two facets
+
 
 def options():
     parser = stage.parser(__doc__, reads="model", writes="formfactors")
@@ -36,7 +38,7 @@ def main(opt):
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
-            import numpy as np
+            import scipy.sparse.csgraph  # noqa: F401  here, where it counts as an import; `opening_to_light` uses it
 
             from lib.given import model as models
             from lib.light import adapt, factors_file, small_room
@@ -65,9 +67,9 @@ def main(opt):
 
         group = surface.group[mesh.side // 2]
         diagonal = surface.local.diagonal
-        area = np.bincount(surface.group, surfaces.facet_areas(surface), minlength=len(model.groups)) * diagonal**2
+        area = surfaces.group_areas(surface) * diagonal**2
         factors = factors_file.FormFactors(mesh, rows, factor, tuple(opt.lamps), group, model.groups, area, diagonal)
-        describe(report, factors, surface)
+        describe(report, factors, surface, model)
         factors_file.write(opt.formfactors, factors)
 
 
@@ -89,14 +91,18 @@ def rows_by(opt, surface, mesh):
     return form_factors.rays(surface, mesh, n_rays=opt.rays, progress=stage.Bar("form factors"))
 
 
-def describe(report, factors, surface):
+def describe(report, factors, surface, model):
     """What the user should know of the factors."""
     import numpy as np
+
+    from lib.light import surface as surfaces
 
     rows = factors.rows
     report["patches"] = len(factors.mesh)
     report["occluders"] = surface.n_occluders
     report["solids"] = int(np.unique(surface.object[np.flatnonzero(surface.inside) // 2]).size)
+    lids = surfaces.lids(surface)
+    report["lids"] = {"count": len(lids), "objects": [model.objects[thing] for thing in np.unique(lids)]}
     report["rays"] = int(rows.shot.sum())
     sums = rows.row_sums
     report["patches_that_see_nothing"] = int((sums == 0).sum())  # in a solid, or lying on another facet
@@ -104,8 +110,27 @@ def describe(report, factors, surface):
     closed = "1 in a closed scene, before any normalisation"
     report.error("row_sum.max_excess", float(max(sums.max() - 1, 0)), unit="1", against=closed)
     report.error("row_sum.largest_opening", float(max(1 - sums.min(), 0)), unit="1", against="0 in a closed scene")
+    if (opening := opening_to_light(factors)) > OPEN:
+        report.warning(
+            f"the model is open: {100 * opening:.0f} % of the light of the most open patch leaves; what is not "
+            "modelled behind the camera must be modelled or the light it sends back is missing"
+        )
     report.error("rays.lost", float(rows.lost.sum() / max(rows.shot.sum(), 1)), unit="1", against="0")
     report.error("reciprocity.rms", reciprocity(factors), unit="sigma of the sampling", against="A_i F_ij = A_j F_ji")
+
+
+def opening_to_light(factors):
+    """The part of a patch's light that leaves, the largest of all patches that light reaches.
+
+    Outside a closed room there may be patches, too: the backs of walls that see another room.
+    """
+    import numpy as np
+    from scipy.sparse.csgraph import connected_components
+
+    part = connected_components(factors.rows.matrix(), directed=False)[1]
+    sums = factors.rows.row_sums
+    lit = (sums > 0) & np.isin(part, part[factors.lamp_factor.any(axis=1)])
+    return float(1 - sums[lit].min(initial=1.0))
 
 
 def reciprocity(factors):

@@ -52,7 +52,7 @@ def main(opt):
             import numpy as np
             import scipy.sparse.csgraph  # noqa: F401  the same
 
-            from lib.buffers import index_buffer, opengl  # noqa: F401  they count as imports here; `draw` names them
+            from lib.buffers import index_buffer, model_checks, opengl  # noqa: F401  they count as imports here; `draw` names them
             from lib.buffers.edges import visible_edges
             from lib.buffers.trust import trusted
             from lib.core import artefact
@@ -66,11 +66,11 @@ def main(opt):
             raise stage.BadInput(
                 f"{opt.model}: facets: {model.n_facets} are more than the 65535 that facet.png can hold"
             )
-        for warning in model.warnings:
-            report.warning(f"{opt.model}: {warning}")
-
         with report.timing("draw"):
             index = draw(model, camera, opt.method, report)
+        with report.timing("check"):
+            for warning in (*model.warnings, *model_checks.findings(model, camera, index.facet)):
+                report.warning(f"{opt.model}: {warning}")
         with report.timing("edges"):
             hidden = visible_edges(model, camera, index.facet, index.depth)
         with report.timing("trust"):

@@ -62,7 +62,7 @@ def climb(
 def _at_the_foot(site, result, scale, given) -> Climb:
     """Everything diffuse, but for textures that scene.yaml names."""
     found, _ = misfits.audit(site.subcell, site.base, result, site.tiles)
-    places = {int(g): Place() for g in np.unique(site.surface.group)}
+    places = {g: Place() for g in range(len(site.surface.groups))}
     for g, kind in given.items():
         places[g].given = True
         if kind == "textured":

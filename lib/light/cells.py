@@ -117,6 +117,7 @@ class Tree:
         centre = surface.origin[f] + middle[:, :1] * surface.axes[f, 0] + middle[:, 1:] * surface.axes[f, 1]
         above = np.stack([side, level, leaves[:, 2] >> 1, leaves[:, 3] >> 1], axis=1)
         parent = np.unique(above, axis=0, return_inverse=True)[1].reshape(-1)
+        sides = 2 * np.count_nonzero(surface.group >= 0)  # lids have no patches, and stand behind the facets
         return Mesh(
             side.astype(np.int32),
             area,
@@ -124,8 +125,8 @@ class Tree:
             start,
             pieces,
             cdf,
-            table,
-            shape.astype(np.int32),
+            table[:sides],
+            shape[:sides].astype(np.int32),
             leaf,
             parent.astype(np.int32),
         )

@@ -50,7 +50,7 @@ class Finish:
 
     def facets(self, surface: Surface):
         """The number of each facet's specular group, -1, (F,) int32, and the tangent frame in its plane (F, 2, 3)."""
-        number = np.full(len(surface.groups), -1, np.int32)
+        number = np.full(len(surface.groups) + 1, -1, np.int32)  # the last is that of the lids
         number[list(self.groups)] = np.arange(len(self.groups))
         of = number[surface.group]
         axes = np.array(surface.axes)

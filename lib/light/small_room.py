@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from lib.given.model.lids import Lids
 from lib.light import adapt, form_factors, lamps
 from lib.light import surface as surfaces
 
@@ -35,6 +36,7 @@ def small_room(*groups) -> surfaces.Surface:
         facet_object=np.zeros(len(o), np.int32),
         groups=names,
         solid_objects=lambda: np.array([False]),
+        lids=Lids(),
     )
     return surfaces.surface(model, ["lamp"])
 

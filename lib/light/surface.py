@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lib.given import rays as ray_tools
+from lib.given.model.lids import NEAR
 from lib.given.rays import Caster, Local
 from lib.given.rays_kernels import OFFSET
 from lib.light import surface_kernels as kernels
@@ -19,14 +20,16 @@ RAY_OUT = np.array([0.5377, 0.6339, 0.5560])  # no axis, no diagonal
 class Surface:
     """The model in local coordinates, ready for rays. T triangles, F facets.
 
-    Side 2 f is the front of facet f, side 2 f + 1 its back.
+    Side 2 f is the front of facet f, side 2 f + 1 its back.  The model's facets come first; behind them come the lids
+    that make solids of open objects (lib/given/model/lids.py). Both sides of a lid look into a solid, so that no patch
+    lies on it and a ray that meets it is dropped. It belongs to no group and casts no shadow; patches know no lids.
     """
 
     local: Local
     corners: np.ndarray  # (T, 3, 3) float64 local
     facet: np.ndarray  # (T,) int32 facet of each triangle
     normal: np.ndarray  # (F, 3)
-    group: np.ndarray  # (F,) int32
+    group: np.ndarray  # (F,) int32, -1: a lid
     object: np.ndarray  # (F,) int32
     origin: np.ndarray  # (F, 3) a corner of the bounding rectangle
     axes: np.ndarray  # (F, 2, 3) unit, in the plane; axes[0] x axes[1] = normal
@@ -53,48 +56,62 @@ def surface(model, lamps=()) -> Surface:
     facet = np.array(model.triangle_facet, np.int32)  # copies: kernels would be compiled again for read-only arrays
     normal = np.array(model.facet_normal, float)
     can = ray_tools.occluders(corners, facet)
+    group, thing = np.array(model.facet_group, np.int32), np.array(model.facet_object, np.int32)
     lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps if g in model.groups])
-    inside = _inside(model, local, corners, facet, normal, lamp_facet)
-    overlap = _overlap(corners, facet, model.facet_object, inside)
+    faces = [(lid.object, local.points(lid.corners)) for lid in model.lids.faces]
+    inside = _inside(model, faces, corners, facet, normal, lamp_facet)
+    solids = np.unique(thing[inside[0::2] | inside[1::2]])
+    faces = [(of, p) for of, p in faces if of in solids]
+    overlap = _overlap(corners, facet, thing, inside)
     corners, covered = _lift(corners, facet, normal, inside, lamp_facet)
     inside |= covered
+    cast = _thinner(corners, facet, normal, inside)
+    shadows = Caster(cast[can[facet]])
+    if faces:
+        corners, facet, normal, cast = _with_lids(corners, facet, normal, cast, [p for _, p in faces])
+        inside = np.append(inside, np.ones(2 * len(faces), bool))
+        overlap = np.append(overlap, np.isin([of for of, _ in faces], thing[overlap != 0])).astype(np.int8)
+        thing = np.append(thing, [of for of, _ in faces]).astype(np.int32)
+        group = np.append(group, np.full(len(faces), -1)).astype(np.int32)
     order = np.argsort(facet, kind="stable").astype(np.int64)
     start = np.searchsorted(facet[order], np.arange(len(normal) + 1)).astype(np.int64)
     origin, axes, size = kernels.frames(corners, order, start, normal)
-    # Solids are cast a hair thinner than they are. A ray inside a cabinet then meets the cabinet, not the wall that the
-    # cabinet's back touches.
-    thinner = 0.3 * OFFSET * (inside[0::2].astype(float) - inside[1::2])[:, None] * normal
-    cast = corners + thinner[facet][:, None, :]
     return Surface(
         local,
         corners,
         facet,
         normal,
-        np.asarray(model.facet_group, np.int32),
-        np.asarray(model.facet_object, np.int32),
+        group,
+        thing,
         origin,
         axes,
         size,
         inside,
         tuple(model.groups),
         Caster(cast),
-        Caster(cast[can[facet]]),
+        shadows,
         int(can[~lamp_facet].sum()) + (int(can[lamp_facet].sum()) if lamp_facet.sum() > 1 else 0),
         cast,
         overlap,
     )
 
 
-def _inside(model, local, corners, facet, normal, lamp_facet):
-    """(2 F,) bool: sides that look into a solid, an object that closes and holds no lamp inside (SCENE.md 3)."""
+def _inside(model, lids, corners, facet, normal, lamp_facet):
+    """(2 F,) bool: sides that look into a solid, an object that closes and holds no lamp inside (SCENE.md 3).
+
+    lids : [(object, (n, 3, 3) local)]
+    """
     inside = np.zeros(2 * len(normal), bool)
     first = np.unique(facet, return_index=True)[1]
     middle = corners[first].mean(axis=1)
     lit = np.flatnonzero(lamp_facet)
     for obj in np.flatnonzero(model.solid_objects()):
         mine = np.flatnonzero(model.facet_object == obj)
-        solid = Caster(corners[np.isin(facet, mine)])
-        if len(lit) and _enclosed(solid, middle[lit] + 4 * OFFSET * normal[lit]).any():
+        faces = [p for of, p in lids if of == obj]
+        solid = Caster(np.concatenate([corners[np.isin(facet, mine)], *faces]))
+        # a lamp that lies on a lid may shine in from a little way outside
+        heights = (4 * OFFSET, 2 * NEAR) if faces else (4 * OFFSET,)
+        if len(lit) and any(_enclosed(solid, middle[lit] + height * normal[lit]).any() for height in heights):
             continue  # a room: the lamp shines inside it
         for back in (0, 1):
             inside[2 * mine + back] = _enclosed(solid, middle[mine] + (1 - 2 * back) * 4 * OFFSET * normal[mine])
@@ -122,6 +139,29 @@ def _overlap(corners, facet, objects, inside):
     meets = (reach > 4 * OFFSET).all(axis=2)
     np.fill_diagonal(meets, False)
     return np.where(np.isin(objects, solids[meets.any(axis=1)]), turn, 0).astype(np.int8)
+
+
+def _with_lids(corners, facet, normal, cast, lids):
+    """corners, facet, normal, cast of Surface, with the lids [(n, 3, 3) local] behind the model's facets."""
+    p = np.concatenate(lids)
+    v = [np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]).sum(axis=0) for t in lids]
+    n = np.array(v) / np.linalg.norm(v, axis=1, keepdims=True)
+    of = np.repeat(np.arange(len(lids)), [len(t) for t in lids])
+    return (
+        np.concatenate([corners, p]),
+        np.concatenate([facet, len(normal) + of]).astype(np.int32),
+        np.concatenate([normal, n]),
+        np.concatenate([cast, p - 0.3 * OFFSET * n[of][:, None, :]]),  # thinner, see _thinner
+    )
+
+
+def _thinner(corners, facet, normal, inside):
+    """(T, 3, 3): corners as they are cast, solids a hair thinner than they are.
+
+    A ray inside a cabinet then meets the cabinet, not the wall that the cabinet's back touches.
+    """
+    turn = inside[1::2].astype(float) - inside[0::2]
+    return corners - 0.3 * OFFSET * (turn[:, None] * normal)[facet][:, None, :]
 
 
 def _lift(corners, facet, normal, inside, last):
@@ -198,6 +238,17 @@ def triangle_areas(corners):
 def facet_areas(surface: Surface):
     """(F,) local."""
     return np.bincount(surface.facet, triangle_areas(surface.corners), minlength=len(surface.normal))
+
+
+def group_areas(surface: Surface):
+    """(G,) local."""
+    real = surface.group >= 0  # not a lid
+    return np.bincount(surface.group[real], facet_areas(surface)[real], minlength=len(surface.groups))
+
+
+def lids(surface: Surface):
+    """(L,) int: the object of each lid."""
+    return surface.object[surface.group < 0]
 
 
 def buried(surface: Surface, rays, triangle):

@@ -74,7 +74,7 @@ class Case:
         mesh = adapt.build(surface, patches=patches, max_level=5, contrast=contrast, emitters=emitters)
         rows = form_factors.rays(surface, mesh, n_rays=rays)
         factor = lamps_.patch_direct(surface, mesh, emitters, len(lamps), n_points=32)
-        area = np.bincount(surface.group, surfaces.facet_areas(surface), minlength=len(self.model.groups))
+        area = surfaces.group_areas(surface)
         factors = factors_file.FormFactors(
             mesh,
             rows,

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from lib.given.model.lids import Lids
 from lib.light import chains as chains_
 from lib.light import factors_file, form_factors, specular
 from lib.light import lamps as lamps_
@@ -46,6 +47,7 @@ def surface(polygons, lamps=(), scale=1.0, offset=(0.0, 0.0, 0.0)):
         facet_object=np.zeros(len(polygons), np.int32),
         groups=groups,
         solid_objects=lambda: np.array([False]),
+        lids=Lids(),
     )
     return surfaces.surface(model, list(lamps))
 

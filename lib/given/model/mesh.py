@@ -1,11 +1,13 @@
 """A model: the triangles of a file's polygons, and the facets that they form."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from lib.core.stage import BadInput
 from lib.given.model.facets import joined
+from lib.given.model.lids import Lids, lids
 from lib.given.model.polygons import planar_pieces
 from lib.given.model.triangles import triangulated
 
@@ -45,15 +47,22 @@ class Model:
         """(F,) m2, one side."""
         return np.bincount(self.triangle_facet, self.triangle_normals()[1], self.n_facets)
 
+    @cached_property
+    def lids(self) -> Lids:
+        """Faces that close objects which stand on others or lean against them, see lids.py."""
+        return lids(self)
+
     def solid_objects(self, camera_centre=None, lamps=()) -> np.ndarray:
         """(O,) bool: objects that close and into which no light can come.
 
-        An object closes when every edge, by position, belongs to an even number of its polygons. A room closes too,
-        but around its light: an object that holds the camera, or into which a facet of a lamp shines, is not solid.
+        An object closes when every edge, by position, belongs to an even number of its polygons, or with lids. A room
+        closes too, but around its light: an object that holds the camera, or into which a facet of a lamp shines, is
+        not solid.
 
         camera_centre : (3,) m, world        lamps : names of groups
         """
         solid = self.closed_objects.copy()
+        solid[list(self.lids.objects)] = True
         scale = np.ptp(self.vertices, axis=0).max()
         points = [] if camera_centre is None else [np.asarray(camera_centre, float)]
         area = self.triangle_normals()[1]
@@ -62,9 +71,13 @@ class Model:
             mine = np.flatnonzero(self.triangle_facet == facet)
             middle = self.corners()[mine[np.argmax(area[mine])]].mean(axis=0)
             points.append(middle + 1e-6 * scale * self.facet_normal[facet])
+        if not points:
+            return solid
         owner = self.facet_object[self.triangle_facet]
         for i in np.flatnonzero(solid):
-            p = self.corners()[owner == i]
+            p = np.concatenate(
+                [self.corners()[owner == i], *(lid.corners for lid in self.lids.faces if lid.object == i)]
+            )
             solid[i] = not any(abs(_winding_number(p, point)) > 0.5 for point in points)
         return solid
 
