@@ -1,4 +1,4 @@
-"""What is our own in Mitsuba: Ward's lobe, and lamps that are found by way of mirrors.
+"""What is our own in Mitsuba: Ward's lobe, lamps that are found by way of mirrors, stored light that is gathered.
 
 Mitsuba runs only where `make scenes` has put it; these tests skip elsewhere.
 """
@@ -196,3 +196,39 @@ print(json.dumps(out))"""
     z = np.array([(a - b) / np.hypot(sa, sb) for _, (a, sa), (b, sb) in groups])
     assert len(z) > 12 and np.abs(z).max() < 4.5 and np.sqrt((z**2).mean()) < 1.7, z
     assert np.median([sb / sa for _, (a, sa), (b, sb) in groups]) < 1
+
+
+@pytest.mark.outside
+def test_gathering_has_the_mean_of_mitsuba():
+    """Groups of a random room by Mitsuba's own path tracer, and by stored light: the same means, less noise."""
+    out = with_mitsuba(
+        """
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from lib.synthetic.gathering import Gatherer
+r = recipes.make("small-202")
+K = r.K.copy()
+K[:2] /= 10
+K[:2, 2] += .5 / 10 - .5
+r = replace(r, K=K, size=(40, 30))
+with tempfile.TemporaryDirectory() as folder:
+    scene = mitsuba_scene(mi, r, Path(folder), 8)
+    labels = group_picture(mi, scene, r)
+    own = mi.load_dict({"type": "path", "max_depth": 120, "rr_depth": 8})
+    room = Gatherer(mi, r, Path(folder), texel_m=0.05)
+    room.warm(coarse=(20, 16), fine=(4, 64))
+    pictures = (lambda s: np.array(mi.render(scene, integrator=own, spp=256, seed=s), dtype=float) * np.pi,
+                lambda s: room.picture(256, s))
+    images = [np.array([picture(s) for s in range(12)]) for picture in pictures]
+    out = [np.median(x.std(0) / x.mean(0)) for x in images]
+    for k, g in enumerate(r.groups):
+        if g not in r.lamps and (labels == k + 1).sum() >= 20:
+            of = [x[:, labels == k + 1].mean((1, 2)) for x in images]
+            out.append([of[1].mean() / of[0].mean() - 1, of[0].std(ddof=1) / 12 ** .5 / of[0].mean()])
+print(json.dumps(out))"""
+    )
+    path, gathered, *groups = out
+    off, sigma = np.array(groups).T
+    assert len(groups) >= 6 and gathered < 0.5 * path
+    assert np.abs(off / np.hypot(sigma, 0.0015)).max() < 4, off

@@ -18,6 +18,12 @@ class Polygon:
         edges = self.points - self.points[0]
         return np.linalg.norm(np.cross(edges[1:-1], edges[2:]).sum(0)) / 2
 
+    def normal(self) -> np.ndarray:
+        """Unit normal of the front."""
+        edges = self.points - self.points[0]
+        n = np.cross(edges[1:-1], edges[2:]).sum(0)
+        return n / np.linalg.norm(n)
+
 
 def rectangle(object, group, corner, u, v) -> Polygon:
     """The parallelogram corner, corner + u, corner + u + v, corner + v; its front is where u x v points."""

@@ -44,6 +44,11 @@ def origin(recipe, opt, noise) -> str:
             "The room that is seen lets no light in from the others, so it was traced alone.\n"
             f"{boards}{PAIR}{LICENCE}"
         )
+    if opt.gather:
+        return (
+            f"{head}{traced}), not by\nits path tracer: lib/synthetic/gathering.py. Noise: truth/noise.json. "
+            f"The photograph before its gamma: truth/linear.exr.\n{LICENCE}"
+        )
     return (
         f"{head}{traced}, up to\n{noise['spp_highest']} where a small group needed more). Noise: truth/noise.json. "
         f"True reflectances and transfer: truth/materials.json.\n{_sources(recipe)}{LICENCE}"
@@ -54,7 +59,7 @@ def command(recipe, opt) -> str:
     """The command line that makes the scene again."""
     made = f"stages/synthesise.py --scene {opt.scene} --out data/{opt.scene} --spp {opt.spp} --passes {opt.passes}"
     if not recipe.pair:
-        made += f" --target {opt.target:g} --more {opt.more}"
+        made += " --gather" if opt.gather else f" --target {opt.target:g} --more {opt.more}"
     elif recipe.pair.board:
         made += f" --board-spp {opt.board_spp}"
     return made + f" --roulette {opt.roulette} --seed {opt.seed} --variant {opt.variant}"

@@ -5,6 +5,7 @@ import numpy as np
 from lib.synthetic.mirrored_lamps import tracer
 from lib.synthetic.mitsuba_scene import mitsuba_scene
 from lib.synthetic.optics import directions
+from lib.synthetic.sight import first_polygon
 
 # ---- labels ----
 
@@ -62,32 +63,18 @@ def mirror_groups(recipe, labels, bounces=16) -> np.ndarray:
     eye = np.repeat(np.linalg.inv(recipe.T_cam_world)[None, :3, 3], len(d), 0)
     out = np.zeros(len(d), np.uint16)
     mirrors = [recipe.groups.index(p.group) + 1 for p in recipe.mirrors()]
+    group_of = np.array([recipe.groups.index(p.group) + 1 for p in recipe.polygons] + [0])  # the last: number -1
+    normals = np.array([p.normal() for p in recipe.polygons] + [np.zeros(3)])
     on = np.arange(len(d))  # rays that have met nothing but mirrors so far
     for _ in range(bounces + 1):
-        distance, group, normal = _nearest_polygon(recipe, eye[on], d[on])
+        distance, number = first_polygon(recipe.polygons, eye[on], d[on])
+        group, normal = group_of[number], normals[number]
         is_mirror = np.isin(group, mirrors)
         out[on] = np.where(is_mirror, 0, group)
         on, distance, n = on[is_mirror], distance[is_mirror], normal[is_mirror]
         eye[on] += distance[:, None] * d[on]
         d[on] -= 2 * (d[on] * n).sum(1, keepdims=True) * n
     return np.where(np.isin(labels, mirrors), out.reshape(H, W), 0).astype(np.uint16)
-
-
-def _nearest_polygon(recipe, eye, d):
-    """What rays from eye (N, 3) along d (N, 3) meet first: (distance in |d|, label, unit normal)."""
-    nearest, group, normal = np.full(len(d), np.inf), np.zeros(len(d), np.uint16), np.zeros((len(d), 3))
-    for p in recipe.polygons:
-        edges = np.roll(p.points, -1, 0) - p.points
-        n = np.cross(edges, np.roll(edges, -1, 0)).sum(0)
-        n /= np.linalg.norm(n)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            s = (p.points[0] - eye) @ n / (d @ n)
-            hit = (s > 1e-7) & (s < nearest)
-            at = eye + s[:, None] * d
-            for corner, edge in zip(p.points, edges, strict=True):
-                hit &= np.cross(edge, at - corner) @ n >= 0
-        nearest[hit], group[hit], normal[hit] = s[hit], recipe.groups.index(p.group) + 1, n
-    return nearest, group, normal
 
 
 # ---- passes ----

@@ -107,22 +107,8 @@ class Recipe:
 
     def model(self) -> tuple[str, str]:
         """(text of model.obj, text of model.mtl)."""
-        lines = [f"# {self.name}: made by stages/synthesise.py; metres, z up", "mtllib model.mtl"]
-        vertices = {}
-        for name in self.objects:
-            lines.append(f"o {name}")
-            usemtl = None
-            for polygon in (p for p in self.polygons if p.object == name):
-                corners = [tuple(f"{x:.6f}".replace("-0.000000", "0.000000") for x in p) for p in polygon.points]
-                for corner in corners:
-                    if corner not in vertices:
-                        vertices[corner] = len(vertices) + 1
-                        lines.append("v " + " ".join(corner))
-                if polygon.group != usemtl:
-                    usemtl = polygon.group
-                    lines.append(f"usemtl {usemtl}")
-                lines.append("f " + " ".join(str(vertices[c]) for c in corners))
-        return "\n".join(lines) + "\n", self._mtl()
+        ordered = [p for name in self.objects for p in self.polygons if p.object == name]
+        return obj_text(f"{self.name}: made by stages/synthesise.py; metres, z up", ordered), self._mtl()
 
     def _mtl(self):
         """The groups' names, each with a colour to look at; the colours are not the truth."""
@@ -166,6 +152,26 @@ class Recipe:
         if self.reference:
             lines.append("reference: {" + ", ".join(f"{g}: {triple(r)}" for g, r in self.reference.items()) + "}")
         return "\n".join(lines) + "\n"
+
+
+def obj_text(title, polygons, decimals=6) -> str:
+    """The text of model.obj; the polygons of an object stand one after the other."""
+    lines, vertices, name, usemtl = [f"# {title}", "mtllib model.mtl"], {}, None, None
+    for polygon in polygons:
+        if polygon.object != name:
+            name, usemtl = polygon.object, None
+            lines.append(f"o {name}")
+        zero = f"{0:.{decimals}f}"
+        corners = [tuple(f"{x:.{decimals}f}".replace(f"-{zero}", zero) for x in p) for p in polygon.points]
+        for corner in corners:
+            if corner not in vertices:
+                vertices[corner] = len(vertices) + 1
+                lines.append("v " + " ".join(corner))
+        if polygon.group != usemtl:
+            usemtl = polygon.group
+            lines.append(f"usemtl {usemtl}")
+        lines.append("f " + " ".join(str(vertices[c]) for c in corners))
+    return "\n".join(lines) + "\n"
 
 
 def exposed(polygons, materials, lamps, level) -> float:

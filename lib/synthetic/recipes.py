@@ -3,13 +3,17 @@
     recipe = recipes.make("office-2")      # the same every time
     recipe.model()                         # (text of model.obj, text of model.mtl)
     recipe.cameramodel()                   # text of left.posed.cameramodel
+    recipes.make("room-101")               # a random room of 640 x 480; small-101: of 400 x 300
 
 A recipe knows the truth; `stages/synthesise.py` renders it.  Rooms are made of single polygons that face inwards (one
 object each, so that no room is mistaken for a solid).  Furniture is made of closed boxes and prisms that stand on the
 floor and touch the walls.
 """
 
+from dataclasses import replace
+
 from lib.synthetic import mirrors_and_gloss, offices, stereo, textured
+from lib.synthetic.random_rooms import random_room
 from lib.synthetic.recipe import Recipe
 
 _DIFFUSE = {
@@ -40,8 +44,12 @@ _KINDS = {
 KIND_NAMES = tuple(_KINDS)  # mirrors, gloss, textures
 _RECIPES = _DIFFUSE | _STEREO | _KINDS
 ALL_NAMES = tuple(_RECIPES)
+RANDOM = {"room": (640, 480), "small": (400, 300)}  # room-<seed> and small-<seed> are random rooms
 
 
 def make(name) -> Recipe:
-    """The recipe of one scene.  Raises KeyError for a name that `ALL_NAMES` has not."""
+    """The recipe of one scene.  Raises KeyError for a name that is neither in `ALL_NAMES` nor a random room's."""
+    kind, _, seed = name.partition("-")
+    if kind in RANDOM and seed:
+        return replace(random_room(seed, size=RANDOM[kind]), name=name)
     return _RECIPES[name]()

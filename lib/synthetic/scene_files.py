@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lib.given import image
+from lib.synthetic.gathering import gathered
 from lib.synthetic.mitsuba_scene import MAX_DEPTH
 from lib.synthetic.optics import rodrigues
 from lib.synthetic.origin import origin
@@ -19,7 +20,8 @@ def synthesise(mi, recipe, opt):
     """One photograph through a pinhole: the folder that stages/synthesise.py describes."""
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        passes, labels, number = render(mi, recipe, Path(folder), opt)
+        traced = gathered if opt.gather else render
+        passes, labels, number = traced(mi, recipe, Path(folder), opt)
     wall = time.perf_counter() - start
     B = passes.mean()
     if recipe.channels == 1:
@@ -44,6 +46,9 @@ def synthesise(mi, recipe, opt):
         image.write_png8(opt.out / "left.png", displayed(recipe, B))
     if recipe.mirrors():
         image.write_png16(truth / "mirror.png", mirror_groups(recipe, labels))
+    if opt.gather:
+        image.write_exr(truth / "linear.exr", B)
+        image.write_png16(truth / "object.png", passes.objects)
     contents = {"noise": noise, "materials": true_materials(recipe, pixels)}
     for group, texture in recipe.textures().items():
         write_half(truth / texture_file(recipe, group), texture.image)
@@ -249,8 +254,14 @@ def stated_noise(mi, recipe, opt, passes, labels, number) -> dict:
     pixels = group_pixels(recipe, labels)
     lit = np.isin(labels, [k + 1 for k, g in enumerate(recipe.groups) if g not in recipe.lamps])
     kind = "path, lamps also sampled through the mirrors" if recipe.mirrors() else "path"
+    sampler = "independent"
+    if opt.gather:
+        kind = (
+            "stored irradiance, one bounce gathered (lib/synthetic/gathering.py); that it is stored adds 0.1 % or less"
+        )
+        sampler = "(0, 2)-sequences"
     return {
-        **_settings(mi, opt, kind, "independent"),
+        **_settings(mi, opt, kind, sampler),
         "spp_highest": int(opt.spp * passes.count.max()),
         "seeds": [opt.seed, opt.seed + number - 1],
         "unit": "1",
