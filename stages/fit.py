@@ -35,6 +35,7 @@ def options():
     parser.add_argument("--reference", type=stage.json_option, default={})
     parser.add_argument("--transfer", type=stage.json_option, default=None, help="default: auto, linear for EXR")
     parser.add_argument("--surfaces", type=stage.json_option, default={})
+    parser.add_argument("--explain", type=stage.json_option, help="causes that may be taken; default: all")
     parser.add_argument("--method", choices=["gauss-newton", "paper", "damped"], default="gauss-newton")
     parser.add_argument("--gamma", type=float, default=2.2, help="where an unknown gamma starts")
     parser.add_argument(
@@ -63,7 +64,7 @@ def main(opt):
         with report.excluded("imports"):
             import scipy.sparse  # noqa: F401  where lib/ imports late
 
-            from lib.analysis import describe, facts, gather, paper, responses
+            from lib.analysis import agreement, describe, explain, facts, gather, paper
             from lib.analysis.problem import scale as scale_of
             from lib.given import materials
             from lib.light import factors_file
@@ -75,20 +76,31 @@ def main(opt):
             iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
         )
         options = {"max_iterations": opt.max_iterations, "tolerance": opt.tolerance}
-        climb, textures, rivals = None, {}, {}
+        climb, textures = None, {}
         with report.timing("fit"):
             if opt.method == "gauss-newton":
-                free = opt.transfer in (None, "auto")
-                chosen = responses.choose(problem, free, gamma=opt.gamma, trace=trace, **options)
-                problem, result, scale, rivals = chosen.problem, chosen.result, chosen.scale, chosen.rivals
-                if ascent := climbed(opt, report, problem, result, scale, factors, found, options):
-                    (climb, textures) = ascent
+                leave = leave_of(opt, found)
+                explained = explain.explain(problem, leave, gamma=opt.gamma, trace=trace, **options)
+                ascent, explained = climbed(opt, report, explained, factors, found, options)
+                problem, result, scale = explained.problem, explained.result, explained.scale
+                if ascent:
+                    climb, textures = ascent
                     problem, result, scale = climb.problem, climb.result, climb.scale
             else:
                 result = paper.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
                 scale = scale_of(problem)
+                explained = explain.Explained(problem, result, scale)
+            why = agreement.disagreements(problem, result, found, factors, opt.transfer, explained.rivals)
         described = describe.describe(
-            problem, result, found, scale=scale, transfer=opt.transfer, rivals=rivals, climb=climb, textures=textures
+            problem,
+            result,
+            found,
+            scale=scale,
+            transfer=opt.transfer,
+            explained=explained,
+            why=why,
+            climb=climb,
+            textures=textures,
         )
         report.status = described.status
         report["scale"], report["iterations"] = scale, result.iterations
@@ -100,15 +112,38 @@ def main(opt):
         materials.write(opt.materials, described)
 
 
-def climbed(opt, report, problem, result, scale, factors, found, options):
-    """The ladder: (Climb, {group: Textured}), or None, after an audit alone, where every group is diffuse."""
-    from lib.analysis import gather, misfits
+def leave_of(opt, found):
+    """What may be explained, as far as the camera is known."""
+    from lib.analysis import agreement, explain
+    from lib.given import cameras
+    from lib.given.falloff import Lens
+
+    lens = None
+    if opt.camera:
+        camera = cameras.read_cameramodel(opt.camera)
+        lens = Lens((camera.K[0, 2], camera.K[1, 2]), (camera.width, camera.height))
+    causes = tuple(explain.CAUSES if opt.explain is None else opt.explain)
+    causes = () if agreement.out_of_range(found) else causes  # nothing can be learnt from such values
+    free = opt.transfer in (None, "auto") and "curve" in causes
+    return explain.Leave(free, causes, lens, found.tiles.pixel)
+
+
+def climbed(opt, report, explained, factors, found, options):
+    """The ladder: (Climb, {group: Textured}), or None, after an audit alone, where every group is diffuse.
+
+    And what is explained by causes: not by weak ones, where the ladder may explain more.
+    """
+    from lib.analysis import agreement, gather, misfits, vignetting
     from lib.analysis.receivers import unplaced
 
+    problem, result, scale = explained.problem, explained.result, explained.scale
     files = {name: getattr(opt, name) for name in ("camera", "model", "photograph", "facet")}
-    if not opt.audit or not all(files.values()) or len(problem.tile_group) == 0:
-        return None
-    audit = gather.read(opt.audit)
+    if not opt.audit or not all(files.values()) or not len(problem.tile_group) or agreement.out_of_range(found):
+        return None, explained
+    audit, lens = gather.read(opt.audit), explained.values.get("vignetting")
+    where = leave_of(opt, found).lens
+    if lens:
+        audit = vignetting.corrected(audit, where, lens["k"], result.state.transfer)
     held = len(audit.visible), audit.tiles.rows.columns
     if held != (len(problem.groups), len(problem.area)):
         raise stage.BadInput(f"{opt.audit}: groups, patches: {held[0]}, {held[1]} are not those of {opt.formfactors}")
@@ -118,7 +153,9 @@ def climbed(opt, report, problem, result, scale, factors, found, options):
     report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": excess, "rays": {}, "rounds": 0}
     if not misfits.flagged(problem, judged, given, opt.threshold):
         misfits.doubt(problem, result, judged, opt.threshold, given)
-        return None
+        return None, explained
+    if not explained.is_sure:
+        return climbed(opt, report, explained.without_causes(**options), factors, found, options)
     with report.excluded("compile"):
         from lib.analysis import ascent
         from lib.given.view import View
@@ -126,6 +163,9 @@ def climbed(opt, report, problem, result, scale, factors, found, options):
 
         ascent.warm_up()
     view = View.read(**files)
+    if lens:
+        problem, result, scale, found = ascent.flattened(problem, result, found, where, lens["k"], options)
+        view = vignetting.without(view, where, lens["k"], result.state.transfer)
     factors_file.check(factors, opt.formfactors, view.model, opt.model)
     done = ascent.ascend(
         view,
@@ -143,13 +183,15 @@ def climbed(opt, report, problem, result, scale, factors, found, options):
         ),
         options=options,
     )
+    climb = done.climb
+    if not agreement.fits(climb.result) and not given:
+        return None, explained  # what is wrong is not one material: nothing is made up from it
     for warning in ascent.warnings(done):
         report.warning(warning)
-    climb = done.climb
     misfits.doubt(climb.problem, climb.result, climb.misfits, opt.threshold, given, climb.places)
     textures = ascent.write_files(done, Path(opt.materials).parent, opt.specular, opt.mirror)
     summary |= ascent.summary(done)
-    return climb, textures
+    return (climb, textures), explained
 
 
 if __name__ == "__main__":

@@ -87,7 +87,7 @@ def main(opt):
             if not subject.view.photograph.linear:
                 T = subject.transfer
                 report["transfer_models"] = display.transfer_models(
-                    picture.linear, wanted, subject.group, subject.pure, T, subject.counted
+                    subject.through_lens(picture.linear), wanted, subject.group, subject.pure, T, subject.counted
                 )
         report.error("rmse", scores["rmse"], unit="display", against="photograph")
         report.error("ciede2000", scores["ciede2000"], unit="CIEDE2000", against="photograph, values read as sRGB")

@@ -335,11 +335,6 @@ def test_nobody_climbs_for_the_light_of_a_sharp_floor(grazing):
 
 
 @pytest.mark.scene
-@pytest.mark.xfail(
-    strict=True,
-    reason="an error below the threshold (0.010 here) is in nobody's sigma: the ceiling, which that floor lights, "
-    "is 12 sigma off",
-)
 def test_what_the_threshold_lets_pass_is_in_sigma(grazing):
     """A gloss too faint to be asked for: all stay diffuse, and nobody is surer than that allows."""
     found, _ = grazing.found({"bottom": (0.08, 0.3, 0.2)})
@@ -403,11 +398,6 @@ def black(open_scene):
     return open_scene.kept["black"]
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a group of black pixels is unknown to the fit, which thinks it diffuse with the prior's rho_d (.64): "
-    "the floor, which the mirror lights, is 14 sigma off",
-)
 def test_a_mirror_that_shows_nothing_spoils_nobody(open_scene):
     found, _ = open_scene.fit(photograph(black(open_scene)), E, transfer=KNOWN)
     agree(found)

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lib.analysis import responses
+from lib.analysis import explain
+from lib.analysis.candidates import enough
 from lib.analysis.evidence import evidence
+from lib.analysis.explain import Leave
 from lib.analysis.gauss_newton import gauss_newton
 from lib.given import materials, tone_curve
 from lib.given.materials import FoundTransfer, Materials
@@ -79,7 +81,7 @@ def photographed(shown, noise=0.01, seed=1, **more):
 @pytest.mark.parametrize("shown, kind", [(lambda B: B ** (1 / 1.8), "gamma"), (film, "curve"), (sigmoid, "curve")])
 def test_the_simplest_function_that_the_photograph_supports(shown, kind):
     problem, rho = photographed(shown)
-    chosen = responses.choose(problem, True, max_iterations=40)
+    chosen = explain.explain(problem, Leave(), max_iterations=40)
     assert chosen.problem.transfer.kind == kind and chosen.result.converged
     seen = np.quantile(problem.photograph.linear(chosen.result.state.transfer)[0], (0.01, 0.99))
     light = np.linspace(*seen, 100)
@@ -88,8 +90,8 @@ def test_the_simplest_function_that_the_photograph_supports(shown, kind):
 
 def test_a_function_that_is_told_is_not_replaced_but_its_rival_is_named():
     problem, _ = photographed(sigmoid)
-    chosen = responses.choose(problem, False, max_iterations=40)
-    assert chosen.problem.transfer.kind == "gamma" and chosen.rivals["curve"] > responses.enough(problem)
+    chosen = explain.explain(problem, Leave(response=False), max_iterations=40)
+    assert chosen.problem.transfer.kind == "gamma" and chosen.rivals["curve"] > enough(problem)
 
 
 def test_evidence_falls_with_a_wrong_function():

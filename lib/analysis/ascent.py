@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from lib.analysis import vignetting
 from lib.analysis.climbing import Climb
+from lib.analysis.equations import Unknowns
 from lib.analysis.gather import Gathered
+from lib.analysis.gauss_newton import fit
 from lib.analysis.ladder import climb
 from lib.analysis.problem import Problem, Result
 from lib.analysis.site import Site, site_of
@@ -55,6 +59,15 @@ def ascend(
     surface = surfaces.surface(view.model, factors.lamps)
     site = site_of(view, surface, factors, problem, found, audit, lobe_rays=lobe_rays)
     return Ascent(site, climb(site, result, scale, **options))
+
+
+def flattened(problem: Problem, result: Result, found: Gathered, lens, k, options):
+    """(problem, result, scale, found) of the photograph without the lens's shadow, as if it had been taken so."""
+    state = result.state
+    found = vignetting.corrected(found, lens, k, state.transfer)
+    problem = replace(problem, pixels=found.pixels, gain=None, cause=None)
+    result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
+    return problem, result, scale, found
 
 
 def warnings(ascent: Ascent) -> list:

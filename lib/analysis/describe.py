@@ -11,11 +11,12 @@ from lib.analysis.climbing import SPECULAR, Climb, Place
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import MISFIT, Problem, Result, group_rmse
 from lib.given.kinds import RUNGS
-from lib.given.materials import Fit, FoundTransfer, Group, Lamp, Materials, Rung, Sigma
+from lib.given.materials import Cause, Fit, FoundTransfer, Group, Lamp, Materials, Rival, Rung, Sigma
 from lib.given.transfer import GAMMA_RANGE, Metric
 from lib.given.transfer_kinds import OF_PICTURE
 
 if TYPE_CHECKING:
+    from lib.analysis.explain import Explained
     from lib.analysis.textures import Textured
 
 NONE = (0.0, 0.0, 0.0)
@@ -29,13 +30,14 @@ def describe(
     *,
     scale,
     transfer,
-    rivals=None,
+    explained: Explained,
+    why=(),
     climb: Climb | None = None,
     textures: dict[int, Textured] | None = None,
 ) -> Materials:
     """What materials.json says. One-channel results stand three times.
 
-    transfer : as scene.yaml has it, or None;  rivals : {kind: nats} of other transfer functions
+    transfer : as scene.yaml has it, or None;  why : [Why] where photograph and given facts do not agree
     climb : where a group is not diffuse;  textures : by group
     """
     errors = group_rmse(problem, result.tile_residual)
@@ -47,14 +49,32 @@ def describe(
         group = _diffuse(problem, result, g, g in specular, errors[g], int(found.visible[g]))
         if climb is not None:
             group = _of_rung(group, climb, g, (textures or {}).get(g))
-        groups[name] = group
+        known = g in problem.known_groups and g not in specular
+        groups[name] = replace(group, identified=False) if why and not known else group
     nothing = len(problem.tile_group) == 0
     status = "nothing seen" if nothing else "converged" if result.converged and result.balanced else "not converged"
+    status = "does not fit" if why and not nothing else status
     rmse = None if nothing or not np.isfinite(result.rmse) else float(result.rmse)
     lamps = {name: _lamp(problem, result, k, scale) for k, name in enumerate(problem.lamps)}
-    return Materials(
-        status, groups, lamps, _transfer(problem, result, transfer, rivals), scale, Fit(rmse, int(result.iterations))
-    )
+    function = _transfer(problem, result, transfer, explained.rivals)
+    fit = Fit(rmse, int(result.iterations))
+    return Materials(status, groups, lamps, function, scale, fit, _causes(explained, result), list(why))
+
+
+def _causes(explained: Explained, result) -> list[Cause]:
+    """The causes that were taken, those first that explain most."""
+    causes = []
+    for taken in sorted(explained.taken, key=lambda t: -t.nats):
+        if taken.cause == "response" and result.state.transfer.kind != "curve":
+            continue  # sRGB in place of gamma is no deviation
+        name = "curve" if taken.cause == "response" else taken.cause
+        values, sigma = dict(explained.values.get(name, {})), None
+        if name == "vignetting" and result.cov_cause is not None:
+            values = {"k": [float(k) for k in values["k"] + result.state.cause], "centre_px": list(values["centre_px"])}
+            sigma = {"k": [float(s) for s in np.sqrt(np.diag(result.cov_cause))]}
+        rivals = [Rival(cause, float(nats)) for cause, nats in taken.rivals.items()]
+        causes.append(Cause(name, None, values, sigma, float(taken.nats), rivals))
+    return causes
 
 
 def _three(values):
@@ -170,8 +190,9 @@ def warnings(problem: Problem, result: Result, described: Materials, found: Gath
     lines = [
         _not_identified(name, group, int(found.visible[problem.groups.index(name)]))
         for name, group in described.groups.items()
-        if not group.identified
+        if group.rho_d is None
     ]
+    lines += [f"{w.text}" for w in described.why]
     if result.misfit > MISFIT:
         lines.append(
             f"the re-rendering differs from the photograph by {result.rmse:.3f} (display), {result.misfit:.0f} times"

@@ -25,7 +25,7 @@ STEP, BENT = 1.0, 0.5
 class Unknowns(NamedTuple):
     """Values of everything that may be free.
 
-    rho : (G, C);  E : (L, C);  rho_s : (M, C) or None;  bend : (n,) or None
+    rho : (G, C);  E : (L, C);  rho_s : (M, C) or None;  bend : (n,) or None;  cause : (k,) or None
     """
 
     rho: np.ndarray
@@ -33,14 +33,16 @@ class Unknowns(NamedTuple):
     transfer: Transfer
     rho_s: np.ndarray | None = None
     bend: np.ndarray | None = None
+    cause: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Which parameters are free, in this order: reflectances, lamps, specular reflectances, shapes of lobes, transfer.
+    """Which parameters are free, in this order: reflectances, lamps, specular reflectances, shapes of lobes, transfer,
+    cause.
 
     rho : (n_rho, 2) group, channel;  E : (n_E, 2) lamp, channel;  rho_s : (n_s, 2) specular group, channel
-    bend : bounds (low, high) of each shape's step;  transfer : how many parameters of it are free
+    bend : bounds (low, high) of each shape's step;  transfer, cause : how many numbers of them are free
     """
 
     rho: np.ndarray
@@ -48,6 +50,7 @@ class Layout:
     rho_s: np.ndarray
     bend: tuple
     transfer: int
+    cause: int = 0
 
     @classmethod
     def of(cls, problem: Problem) -> Layout:
@@ -56,10 +59,11 @@ class Layout:
         rho = np.argwhere(np.isnan(problem.rho) & used[:, None])
         E = np.argwhere(np.isnan(problem.emittance))
         terms, n = problem.specular, problem.fit_transfer * len(problem.transfer.parameters)
+        k = 0 if problem.cause is None else len(problem.cause.spread)
         if terms is None:
-            return cls(rho, E, np.zeros((0, 2), int), (), n)
+            return cls(rho, E, np.zeros((0, 2), int), (), n, k)
         bend = tuple((shape.low, shape.high) for shape in terms.bend)
-        return cls(rho, E, np.argwhere(np.isnan(terms.rho_s)), bend, n)
+        return cls(rho, E, np.argwhere(np.isnan(terms.rho_s)), bend, n, k)
 
     @property
     def ends(self):
@@ -67,8 +71,13 @@ class Layout:
         return np.cumsum([len(self.rho), len(self.E), len(self.rho_s), len(self.bend)])
 
     @property
+    def responding(self):
+        """Where the transfer function's parameters are."""
+        return slice(int(self.ends[-1]), int(self.ends[-1]) + self.transfer)
+
+    @property
     def size(self):
-        return int(self.ends[-1]) + self.transfer
+        return self.responding.stop + self.cause
 
     @property
     def channel(self):
@@ -80,7 +89,10 @@ class Layout:
         parts = [state.rho[tuple(self.rho.T)], state.E[tuple(self.E.T)]]
         if len(self.rho_s) or self.bend:
             parts += [state.rho_s[tuple(self.rho_s.T)], state.bend]
-        return np.concatenate(parts + [state.transfer.parameters[: self.transfer]])
+        return np.concatenate(
+            parts
+            + [state.transfer.parameters[: self.transfer], np.zeros(self.cause) if state.cause is None else state.cause]
+        )
 
     def unpack(self, theta, state: State) -> Unknowns:
         """The unknowns at parameters theta (n,); what is not free stays as in the state."""
@@ -93,16 +105,28 @@ class Layout:
             rho_s[tuple(self.rho_s.T)] = theta[m:k]
         if j > k:
             bend = theta[k:j].copy()
-        transfer = state.transfer.moved(theta[j:]) if self.transfer else state.transfer
-        return Unknowns(rho, E, transfer, rho_s, bend)
+        transfer = state.transfer.moved(theta[self.responding]) if self.transfer else state.transfer
+        cause = theta[self.responding.stop :].copy() if self.cause else None
+        return Unknowns(rho, E, transfer, rho_s, bend, cause)
 
     def bounds(self, transfer: Transfer):
         """(n,), (n,): between which the parameters stay."""
         n, m, s = len(self.rho), len(self.E), len(self.rho_s)
         low, high = (np.array([b[i] for b in self.bend], float).reshape(-1) for i in (0, 1))
         return (
-            np.concatenate([np.zeros(n + m + s), low, [transfer.bounds[0]] * self.transfer]),
-            np.concatenate([np.ones(n), np.full(m, np.inf), np.ones(s), high, [transfer.bounds[1]] * self.transfer]),
+            np.concatenate(
+                [np.zeros(n + m + s), low, [transfer.bounds[0]] * self.transfer, np.full(self.cause, -np.inf)]
+            ),
+            np.concatenate(
+                [
+                    np.ones(n),
+                    np.full(m, np.inf),
+                    np.ones(s),
+                    high,
+                    [transfer.bounds[1]] * self.transfer,
+                    np.full(self.cause, np.inf),
+                ]
+            ),
         )
 
 
@@ -113,8 +137,13 @@ class Equations:
         self.problem, self.light, self.layout = problem, light.at(at.rho_s), layout
         b, self.irradiance = light.solve(at.rho, at.E, x0)
         B = light.shown(at.rho, at.E, b, () if at.bend is None else at.bend)
-        self.state = State(at.rho, at.E, at.transfer, B, b, at.rho_s, at.bend)
+        self.state = State(at.rho, at.E, at.transfer, B, b, at.rho_s, at.bend, at.cause)
         self.residual, self.slope, self.by_transfer = display_residual(problem, B, at.transfer)
+        self.residual = self.residual + self._caused()
+
+    def _caused(self):
+        """What the cause adds to the residual, (T, C) or 0."""
+        return 0 if self.state.cause is None else self.problem.cause.columns @ self.state.cause
 
     def moved(self, theta) -> Equations:
         """The same at other parameters (n,)."""
@@ -155,7 +184,9 @@ class Equations:
         J = _tile_derivative(self.problem, light or self.light, self.layout, self.state, db)
         J = (self.slope if slope is None else slope)[:, :, None] * J
         if self.layout.transfer:
-            J[:, :, self.layout.ends[-1] :] = self.by_transfer if by_transfer is None else by_transfer
+            J[:, :, self.layout.responding] = self.by_transfer if by_transfer is None else by_transfer
+        if self.layout.cause:
+            J[:, :, self.layout.responding.stop :] = self.problem.cause.columns
         return J.reshape(-1, self.layout.size)
 
     def half(self, k):
@@ -164,6 +195,7 @@ class Equations:
         light = self.light.halves[k].at(s.rho_s)
         B = light.shown(s.rho, s.E, s.b, () if s.bend is None else s.bend)
         residual, slope, by_transfer = display_residual(self.problem, B, s.transfer)
+        residual = residual + self._caused()
         return residual.reshape(-1), self.jacobian(light, slope, by_transfer)
 
     def prior(self):
@@ -175,7 +207,10 @@ class Equations:
             H[k, k] = 1 / spread[c] ** 2
             target[k] = mean[c]
         if self.layout.transfer > 1:
-            H[self.layout.ends[-1] :, self.layout.ends[-1] :] = smooth(self.layout.transfer)
+            H[self.layout.responding, self.layout.responding] = smooth(self.layout.transfer)
+        if self.layout.cause:
+            k = np.arange(self.layout.responding.stop, self.layout.size)
+            H[k, k] = 1 / self.problem.cause.spread**2
         return H @ (self.layout.pack(self.state) - target), H
 
     def cost(self, weight):
@@ -192,7 +227,7 @@ def smooth(n):
 
 
 def _tile_derivative(problem: Problem, light: TileLight, layout: Layout, state: State, db):
-    """dB/dtheta of the tiles, (T, C, n), zero for the transfer. db : (N, n) of the patches"""
+    """dB/dtheta of the tiles, (T, C, n), zero for transfer and cause. db : (N, n) of the patches"""
     n_rho, n_E, n_s, n_bend = layout.ends
     matrices, channel, tile_group = light.matrices, layout.channel, problem.tile_group
     bent = _Bent(problem, light, state)

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lib.analysis.equations import Equations
+from lib.analysis.folds import folds
 from lib.analysis.problem import Problem, weights
 
-FOLDS = 4
 FREEDOM = 4  # of Student's t
 DISCREPANCIES = np.concatenate([[0.0], np.geomspace(1e-4, 0.1, 40)])  # display
 NORMAL_MEDIAN = 0.455  # median of the square of a normal variable
@@ -31,16 +31,6 @@ class Evidence:
 
     nats: float
     discrepancy: float
-
-
-def folds(problem: Problem) -> np.ndarray:
-    """(T,) number of each tile's fold: FOLDS runs of each group's tiles, which stand facet by facet."""
-    group = problem.tile_group
-    order = np.argsort(group, kind="stable")
-    count = np.bincount(group, minlength=len(problem.groups))
-    rank = np.empty(len(group), int)
-    rank[order] = np.concatenate([np.arange(n) for n in count]) if len(group) else order
-    return rank * FOLDS // np.maximum(count[group], 1)
 
 
 def held_out(problem: Problem, residual, J, gradient, H) -> np.ndarray:
@@ -84,7 +74,7 @@ def likelihood(residual, variance) -> Evidence:
 
 def noise_variance(problem: Problem, at: Equations) -> np.ndarray:
     """(T, 1) display: of the pixels, and of the tiles' own rays as their two halves tell it on the whole."""
-    variance = problem.pixel_noise**2 / problem.n_pixels[:, None]
+    variance = problem.noise_variance(problem.n_pixels)
     if problem.halves is None or not len(variance):
         return variance
     shown = at.slope * 0.5 * at.shown_share * ((problem.halves.G0 - problem.halves.G1) @ at.state.b)

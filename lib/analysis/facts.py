@@ -54,6 +54,7 @@ def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, trans
         tile_object=found.object,
         start=tiles.start,
         pixels=found.pixels,
+        block_noise=found.block_noise,
         groups=factors.groups,
         lamps=factors.lamps,
         emittance=_emittances(factors.lamps, lamps, channels),

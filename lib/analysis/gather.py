@@ -145,6 +145,7 @@ class Gathered:
 
     pixels : (M, C) display values (linear: EXR), in the order of tiles.pixel;  group, object : (T,) int32
     visible : (G,) pixels that show each group, used or not;  linear : the photograph is linear (EXR)
+    block_noise : see Photograph
     """
 
     tiles: Tiles
@@ -154,6 +155,7 @@ class Gathered:
     visible: np.ndarray
     linear: bool
     channels_in_file: int
+    block_noise: float = 0.0
 
 
 def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling: Sampling) -> Gathered:
@@ -179,6 +181,7 @@ def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling:
         np.bincount(surface.group[view.facet[shown]], minlength=len(factors.groups)),
         view.photograph.linear,
         view.photograph.channels_in_file,
+        view.photograph.block_noise,
     )
 
 
@@ -206,4 +209,5 @@ def read(path) -> Gathered:
     tiles = Tiles(**{name: a[f"tiles_{name}"] for name in OF_TILES}, rows=FormFactorRows(**rows))
     more = {name: a[name] for name in OF_GATHERED}
     more["linear"], more["channels_in_file"] = bool(more["linear"]), int(more["channels_in_file"])
+    more["block_noise"] = float(more["block_noise"])
     return Gathered(tiles, **more)

@@ -52,7 +52,7 @@ def gauss_newton(
 def _begun(problem, layout, start: Unknowns) -> Unknowns:
     transfer = start.transfer if problem.fit_transfer else problem.transfer
     bend = None if start.rho_s is None else np.zeros(len(layout.bend))
-    return start._replace(transfer=transfer, bend=bend)
+    return start._replace(transfer=transfer, bend=bend, cause=np.zeros(layout.cause) if layout.cause else None)
 
 
 def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):

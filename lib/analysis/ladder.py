@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.analysis import misfits, rungs
+from lib.analysis.agreement import fits
 from lib.analysis.climbing import Climb, Place
 from lib.analysis.misfits import is_over, tolerance
 from lib.analysis.problem import Result
@@ -30,6 +31,10 @@ from lib.given.kinds import LOBES, MIRRORS, ORDER, RUNGS
 from lib.light.chains import Finish
 
 MOST_ROUNDS = 12
+EDGE = 0.0125  # of the picture's width: so near to edges shows an object that is some centimetres off
+# where the whole picture disagrees: so many groups are tried; a rung must explain such a share of a group's error, and
+# leave so much of what neighbouring tiles have in common at most
+FEW, SURE, PROGRESS = 3, 0.8, 0.7
 
 
 def climb(
@@ -49,10 +54,13 @@ def climb(
         here = fitted(here)
     wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}
     for here.rounds in range(1, MOST_ROUNDS + 1):
-        step = _Step(site, here, wanted, settled, threshold)
+        step = _Step(site, here, wanted, settled, threshold, sure_only=not fits(here.result))
         if not step.taken():
             break
+        before = here.result.correlated
         here = fitted(here)
+        if step.sure_only and not wanted and here.result.correlated > PROGRESS * before:
+            break
         if _back(here, threshold):
             here = fitted(here)
         wanted, settled = {}, settled | set(given)
@@ -82,12 +90,18 @@ class _Choice(NamedTuple):
 class _Step:
     """One round of the climb: which groups are over, what rungs would explain of them, and which are taken."""
 
-    def __init__(self, site: Site, here: Climb, wanted, settled, threshold):
-        """wanted : {group: kind} that scene.yaml names and that is still to be given;  settled : groups that stay"""
+    def __init__(self, site: Site, here: Climb, wanted, settled, threshold, sure_only=False):
+        """wanted : {group: kind} that scene.yaml names and that is still to be given;  settled : groups that stay
+
+        sure_only : the picture as a whole disagrees: only what explains nearly all of a group's error is a material
+        """
+        self.sure_only = sure_only
         self.site, self.here, self.wanted, self.settled, self.threshold = site, here, wanted, settled, threshold
         over = {g for g, m in here.misfits.items() if g not in settled and is_over(m, threshold)}
         self.trials, explained = {}, 0.0
         for g in sorted({*over, *wanted}, key=self.energy, reverse=True):
+            if sure_only and g not in wanted and len(self.trials) >= FEW:
+                break
             if self.energy(g) < 0.03 * explained and g not in wanted:
                 continue  # its error may be the other one's light: it is asked again
             self.trials[g] = self._tried(g)
@@ -103,6 +117,8 @@ class _Step:
         The greatest error comes first: what no rung explains may be what a mirror shows, or throw gamma off. But it
         does not come before a rung that explains its group wholly, whose light may be that error.
         """
+        if self.sure_only:
+            return self._climb()
         unexplained = [
             g for g, tried in self.trials.items() if g not in self.wanted and not any(t.explained > 0.5 for t in tried)
         ]
@@ -177,7 +193,7 @@ class _Step:
             now = self.here.misfits[g].excess if g in self.here.misfits else np.inf
             gain = 1 - (trial.misfit.excess / max(now, 1e-12)) ** 2
         dull = RUNGS[trial.rung].lobe and trial.rho_s.max() <= 0.002
-        if g in self.wanted or (gain > 0.5 and not dull):
+        if g in self.wanted or (gain > (SURE if self.sure_only else 0.5) and not dull):
             return _Choice(gain * trial.diffuse.energy, gain, trial, tried)
         return None
 
@@ -204,10 +220,21 @@ class _Step:
         excess = self.here.misfits[g].excess
         if excess <= 1.5 * self.threshold:
             return []
+        if not self._is_off_inside(g):
+            place.why = f"off by {excess:.4f} beyond noise, but only near its edges: it may stand elsewhere"
+            return []
         place.rung, place.tried = "textured", _told(self.trials.get(g, []))
         place.why = f"off by {excess:.4f} beyond noise as diffuse, and no mirror or lobe explains half of that"
         self.settled.add(g)
         return [g]
+
+    def _is_off_inside(self, g):
+        """A pattern of the surface is also far from its edges; an object or a pose that is off shows at edges only."""
+        here = self.here
+        traced = None if here.traced is None else here.traced.tiles
+        inside = self.site.inside(here.tiles, EDGE * max(self.site.view.shape))
+        found, _ = misfits.audit(self.site.subcell, here.problem, here.result, here.tiles, traced, among=inside)
+        return g in found and found[g].judged and is_over(found[g], self.threshold)
 
 
 def _told(trials):

@@ -43,24 +43,27 @@ def misfit(problem: Problem, transfer: Transfer, B, seen, n_pixels, spread=0.0) 
     residual = metric.value(B) - metric.value(seen)
     w = n_pixels / max(n_pixels.sum(), 1)
     square = float((w[:, None] * residual**2).sum() / residual.shape[1])
-    each = problem.pixel_noise**2 / n_pixels[:, None] + np.broadcast_to(np.asarray(spread) ** 2, residual.shape)
+    each = problem.noise_variance(n_pixels) + np.broadcast_to(np.asarray(spread) ** 2, residual.shape)
     variance = float((w[:, None] * each).sum() / residual.shape[1])
     chance = 1 + 3 * np.sqrt(2 / max(residual.size, 1))  # so far three standard errors of a mean square of noise reach
     excess = float(np.sqrt(max(square - chance * variance, 0)))
     return Misfit(excess, float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
 
 
-def audit(subcell, problem: Problem, result: Result, tiles: Receivers, traced: Ways | None = None, textured=()):
+def audit(
+    subcell, problem: Problem, result: Result, tiles: Receivers, traced: Ways | None = None, textured=(), among=None
+):
     """{group: Misfit} of every group that is seen, and of textured ones as if they were of one reflectance.
 
     Groups are judged by all their pixels, specular ones by the tiles of their fit, textured ones by their flattest.
 
-    traced : light by specular ways
+    traced : light by specular ways;  among : (T,) bool, the tiles that count, or None
     """
+    among = np.ones(len(tiles), bool) if among is None else among
     shown = _Shown(subcell, problem, result, tiles, traced)
     specular = () if problem.specular is None else problem.specular.groups
-    found = {g: shown.misfit(g, fit=False) for g in map(int, np.unique(tiles.group)) if g not in specular}
-    patterns = {int(g): shown.misfit(g, fit=True) for g in textured if g not in specular}
+    found = {g: shown.misfit(g, fit=False, among=among) for g in map(int, np.unique(tiles.group)) if g not in specular}
+    patterns = {int(g): shown.misfit(g, fit=True, among=among) for g in textured if g not in specular}
     if problem.specular is not None:
         found |= _specular_misfits(problem, result, tiles, textured)
     return ({g: m for g, m in part.items() if m is not None} for part in (found, patterns))
@@ -88,14 +91,14 @@ class _Shown:
         self.B = rho * irradiance
         self.spread = metric.slope(self.B) * np.abs(rho * half)
 
-    def misfit(self, g, fit) -> Misfit | None:
+    def misfit(self, g, fit, among) -> Misfit | None:
         """Of the group's tiles that are seen at once, or in mirrors where those are too few; None where there are none.
 
         fit : by the tiles of the fit, or by those of the audit
         """
         t = self.tiles
-        at_once = np.flatnonzero((t.group == g) & (t.fit == fit) & (t.chain == 0))
-        mirrored = np.flatnonzero((t.group == g) & (t.chain > 0))
+        at_once = np.flatnonzero(among & (t.group == g) & (t.fit == fit) & (t.chain == 0))
+        mirrored = np.flatnonzero(among & (t.group == g) & (t.chain > 0))
         mine = mirrored if len(at_once) < ENOUGH <= len(mirrored) else at_once
         if not len(mine):
             return None

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lib.analysis.mixture import Mixture
+from lib.given.jpeg import SHARED_PX
 from lib.given.transfer import Metric, Transfer
 
 BALANCED = 1e-4  # largest relative residual of a light balance that counts as solved; it is solved to 1e-5
@@ -135,6 +136,18 @@ class SpecularTerms:
         return self._mixtures[key][0]
 
 
+class Cause(NamedTuple):
+    """What may be wrong with the picture as a whole, linearised: k numbers that are 0 where the problem stands.
+
+    columns : (T, C, k) derivatives of the display residual;  spread : (k,) standard deviations of the prior, or inf
+    """
+
+    name: str
+    subject: str | None
+    columns: np.ndarray
+    spread: np.ndarray
+
+
 @dataclass(eq=False)
 class Problem:
     """What the photograph says and what geometry knows. C channels, N patches, T tiles, G groups, L lamps.
@@ -147,6 +160,8 @@ class Problem:
     halves : None where only one set of rays is known;  group_area : (G,)
     specular : light by way of mirrors and glossy surfaces, None where every group is diffuse
     variance : (T, 1) display, of what is known not to be explained (a texture), or None
+    cause : fitted with the rest, or None;  gain : (T, 1) of the lens, by which the photograph is divided, or None
+    block_noise : display, of blocks of pixels (JPEG)
     """
 
     F: Any
@@ -170,6 +185,9 @@ class Problem:
     group_area: np.ndarray | None = None
     specular: SpecularTerms | None = None
     variance: np.ndarray | None = None
+    cause: Cause | None = None
+    gain: np.ndarray | None = None
+    block_noise: float = 0.0
 
     def __post_init__(self):
         self.photograph = TilePixels(self.pixels, self.start)
@@ -182,6 +200,11 @@ class Problem:
     @property
     def n_pixels(self):
         return np.diff(self.start)
+
+    def noise_variance(self, n_pixels):
+        """(T, 1) display variance of means over so many pixels (T,): of each pixel, and of blocks that share it."""
+        n = np.asarray(n_pixels, float)[:, None]
+        return self.pixel_noise**2 / n + self.block_noise**2 / np.maximum(n / SHARED_PX**2, 1)
 
     @property
     def known_groups(self):
@@ -207,7 +230,7 @@ def _pixel_noise(pixels, start):
 @dataclass(frozen=True, eq=False)
 class State:
     """rho : (G, C);  E : (L, C);  B : (T, C) radiosity of the tiles;  b : (N, C) reflected radiosity of the patches
-    rho_s : (M, C) of the specular groups;  bend : (n,) steps in the shapes of the lobes"""
+    rho_s : (M, C) of the specular groups;  bend : (n,) steps in the shapes of the lobes;  cause : (k,) its numbers"""
 
     rho: np.ndarray
     E: np.ndarray
@@ -216,6 +239,7 @@ class State:
     b: np.ndarray
     rho_s: np.ndarray | None = None
     bend: np.ndarray | None = None
+    cause: np.ndarray | None = None
 
     @property
     def gamma(self):
@@ -227,7 +251,9 @@ class Result:
     """A fit. sigma_* : standard deviations, shaped as the values, None where none were found.
 
     tile_residual : (T, C) display, synthesis minus photograph;  residual : of the light balance
+    cov_cause : (k, k) of the numbers of a cause
     cov_transfer : (P, P) of its parameters, None where none is fitted;  at : the equations at the end
+    correlated : the share of that misfit which neighbouring tiles have in common: no noise
     misfit : typical tile residual over what pixel noise and sampling explain;  shares : median relative sigma by cause
     """
 
@@ -243,8 +269,10 @@ class Result:
     tile_residual: np.ndarray | None = None
     residual: float | None = None
     misfit: float = 0.0
+    correlated: float = 0.0
     shares: dict = field(default_factory=dict)
     at: Any = field(default=None, repr=False)
+    cov_cause: np.ndarray | None = None
     warnings: list = field(default_factory=list)
 
     @property
@@ -264,7 +292,10 @@ class Result:
 
 def observe(problem: Problem, transfer: Transfer):
     """Linear means of the tiles (T, C), and their derivatives by the parameters of the transfer function, (T, C, P)."""
-    return problem.photograph.linear(transfer)
+    mean, slope = problem.photograph.linear(transfer)
+    if problem.gain is None:
+        return mean, slope
+    return mean / problem.gain, slope / problem.gain[..., None]
 
 
 def display_residual(problem: Problem, B, transfer: Transfer):
@@ -286,7 +317,7 @@ def weights(problem: Problem, residual):
     that the model does not know) are held down (Huber at 2.5).
     """
     typical = 1.4826 * float(np.median(np.abs(residual))) if residual.size else 0.0
-    variance = problem.pixel_noise**2 / problem.n_pixels[:, None] + min(max(typical, 5e-4), 0.05) ** 2
+    variance = problem.noise_variance(problem.n_pixels) + min(max(typical, 5e-4), 0.05) ** 2
     if problem.variance is not None:
         variance = variance + problem.variance
     return np.minimum(1, 2.5 * np.sqrt(variance) / np.maximum(np.abs(residual), 1e-12)) / variance

@@ -239,7 +239,7 @@ class Lobe:
         more, spread = irradiance_past(site, light.finish, light.rho_s, light.state, t)
         self.irradiance = (light.irradiance(site, t) + more) * power[t.chain]
         self.spread = spread * power[t.chain]
-        noise = light.problem.pixel_noise**2 / t.n_pixels[:, None] + 0.004**2
+        noise = light.problem.noise_variance(t.n_pixels) + 0.004**2
         self.weight = light.metric.slope(self.seen) ** 2 / noise
         self.diffuse = self._best(np.zeros_like(self.irradiance)).misfit
 

@@ -69,6 +69,18 @@ class Site:
         return gather.pure(self.view.photograph, self.view.facet)
 
     @cached_property
+    def from_edge(self):
+        """(H, W) px to the nearest pixel that does not show the same facet alone."""
+        import cv2
+
+        return cv2.distanceTransform((~boundary(self.view.facet)).astype(np.uint8), cv2.DIST_L2, 5)
+
+    def inside(self, tiles: Receivers, px):
+        """(T,) bool: all pixels of the tile are so far from the edges of their facet."""
+        far = self.from_edge.reshape(-1)[tiles.pixel]
+        return np.minimum.reduceat(far, tiles.start[:-1]) >= px if len(tiles) else np.zeros(0, bool)
+
+    @cached_property
     def is_lamp(self):
         """(F,) bool: the facet emits."""
         numbers = [self.surface.groups.index(name) for name in self.factors.lamps]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from lib.analysis.equations import Equations
+from lib.analysis.folds import FOLDS, folds
 from lib.analysis.problem import MISFIT, Problem, Result, weights
 from lib.analysis.transport import TileLight
 
@@ -28,7 +29,7 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
     for cause, delta in common.items():
         size, typical = _at_least_typical(delta, normal.theta, at, problem)
         common = np.diag((size * np.maximum(np.abs(normal.theta), LEAST)) ** 2)
-        own = slice(at.layout.ends[-1], None)
+        own = at.layout.responding
         common[own, own] = np.outer(delta[own], delta[own])  # the points of a curve move together
         cov = cov + common
         result.shares[cause] = typical
@@ -36,10 +37,13 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         cov = cov * result.misfit**2  # what noise does not explain may be anything: every value is as uncertain
     sigma = np.maximum(np.sqrt(np.maximum(np.diag(cov), 0)), normal.loose)
     _share_out(sigma, at, result)
+    size = np.sqrt(np.maximum(np.diag(cov), 0))
+    grown = np.divide(sigma, size, out=np.ones_like(sigma), where=size > 0)
+    cov, own = cov * np.outer(grown, grown), at.layout.responding
     if at.layout.transfer:
-        own = slice(at.layout.ends[-1], None)
-        grown = sigma[own] / np.sqrt(np.maximum(np.diag(cov)[own], 1e-300))
-        result.cov_transfer = cov[own, own] * np.outer(grown, grown)
+        result.cov_transfer = cov[own, own]
+    if at.layout.cause:
+        result.cov_cause = cov[own.stop :, own.stop :]
 
 
 class _Normal:
@@ -51,7 +55,7 @@ class _Normal:
         self.J = at.jacobian()
         self.weight = weights(problem, at.residual).reshape(-1)
         self.prior = at.prior()[1]
-        self.pixel = np.repeat(problem.pixel_noise**2 / problem.n_pixels, problem.channels)
+        self.pixel = np.repeat(problem.noise_variance(problem.n_pixels), problem.channels)
         H = self.J.T @ (self.weight[:, None] * self.J) + self.prior
         self.inverse, self.loose = _inverse(H, self.theta)
 
@@ -62,6 +66,11 @@ class _Normal:
     def sandwich(self):
         """Covariance (n, n) from the tiles' own residuals and their pixel noise."""
         score = self._by_tile((self.weight * self.at.residual.reshape(-1))[:, None] * self.J)
+        if len(score):  # neighbours err together where it is the model that errs: runs of them, not tiles
+            run = self.at.problem.tile_group * FOLDS + folds(self.at.problem)
+            order = np.argsort(run, kind="stable")
+            first = np.flatnonzero(np.diff(run[order], prepend=-1))
+            score = np.add.reduceat(score[order], first, axis=0)
         noise = self.J.T @ ((self.weight**2 * self.pixel)[:, None] * self.J)
         return self.inverse @ (score.T @ score + noise + self.prior) @ self.inverse
 
@@ -83,11 +92,22 @@ def _tile_errors(problem, at, result):
     if problem.halves:
         sampling = at.slope * 0.5 * rho_tile * ((problem.halves.G0 - problem.halves.G1) @ state.b)
         found.append(sampling)
-        noise = problem.pixel_noise**2 / problem.n_pixels[:, None]
+        noise = problem.noise_variance(problem.n_pixels)
         expected = float(np.sqrt(np.median(sampling**2 / SQUARED_MEDIAN + noise)))
         typical = float(np.sqrt(np.median(at.residual**2) / SQUARED_MEDIAN))
         result.misfit = typical / max(expected, 1e-3)
+        result.correlated = _in_common(problem, at.residual) / max(expected, 1e-3)
     return found
+
+
+def _in_common(problem, residual):
+    """Typical size of the error that neighbouring tiles of one object and group have in common, display."""
+    same = (np.diff(problem.tile_group) == 0) & (np.diff(problem.tile_object) == 0)
+    a, b = residual[1:][same], residual[:-1][same]
+    if not a.size:
+        return 0.0
+    square = (np.median((a + b) ** 2) - np.median((a - b) ** 2)) / (4 * SQUARED_MEDIAN)
+    return float(np.sqrt(max(square, 0)))
 
 
 def _common_errors(problem, at, normal):

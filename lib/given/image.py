@@ -7,10 +7,12 @@ import os
 import struct
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from lib.core.stage import BadInput
+from lib.given import jpeg
 from lib.given.transfer import display_of_linear
 
 
@@ -21,12 +23,14 @@ class Photograph:
     values : (H, W, C) float64, C = 1 or 3; display-referred in [0, 1], or linear light (EXR) that may exceed 1
     bits : 8, 16, or 0 for EXR          linear : True for EXR
     channels_in_file : 1 or 3.  Three equal channels become C = 1; alpha is dropped
+    block_noise : standard deviation (display) of what JPEG's rounding adds to all pixels of a block; else 0
     """
 
     values: np.ndarray
     bits: int
     linear: bool
     channels_in_file: int
+    block_noise: float = 0.0
 
     @property
     def display(self) -> np.ndarray:
@@ -49,7 +53,8 @@ def read_photograph(path) -> Photograph:
     in_file = values.shape[2]
     if in_file == 3 and (values[..., :1] == values).all():
         values = values[..., :1]
-    return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file)
+    block_noise = jpeg.block_noise(Path(path).read_bytes()) if path.lower().endswith((".jpg", ".jpeg")) else 0.0
+    return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file, block_noise)
 
 
 def _linear_values(path):

@@ -16,12 +16,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lib.core import artefact, record
-from lib.core.record import Wrong, flag, items, matrix, number, numbers, part, plain, table_of, table_with, told, word
+from lib.core.record import (
+    Wrong,
+    flag,
+    items,
+    list_of,
+    matrix,
+    number,
+    numbers,
+    part,
+    plain,
+    table,
+    table_of,
+    table_with,
+    told,
+    word,
+)
 from lib.given import transfer_kinds
 from lib.given.kinds import KINDS, LOBES, MIRRORS
 from lib.given.transfer import Transfer
 
-STATUSES = ("converged", "not converged", "nothing seen")  # of a fit; truth says "truth"
+STATUSES = ("converged", "not converged", "does not fit", "nothing seen")  # of a fit; truth says "truth"
 SCALES = ("lamps", "reference", "interreflection", "convention")
 
 
@@ -152,6 +167,36 @@ class FoundTransfer:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """Another explanation. evidence_nats : by which held-out tiles prefer it to the one before"""
+
+    cause: str | None = told(word())
+    evidence_nats: float | None = told(number())
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What was not as given, and was taken into the fit. values : by name, data/SCENE.md; sigma : likewise"""
+
+    cause: str | None = told(word())
+    subject: str | None = told(word())
+    values: dict | None = told(table)
+    sigma: dict | None = told(table)
+    evidence_nats: float | None = told(number())
+    rivals: list = list_of(Rival)
+
+
+@dataclass(frozen=True)
+class Why:
+    """What is likeliest wrong where photograph and given facts do not agree."""
+
+    cause: str | None = told(word())
+    subject: str | None = told(word())
+    text: str | None = told(word())
+    evidence_nats: float | None = told(number())
+
+
+@dataclass(frozen=True)
 class Fit:
     """rmse : display RMSE over the photograph's tiles"""
 
@@ -161,7 +206,10 @@ class Fit:
 
 @dataclass(frozen=True)
 class Materials:
-    """The whole file. scale : what fixed the scale of the light, of SCALES"""
+    """The whole file. scale : what fixed the scale of the light, of SCALES
+
+    explained : causes that were taken, best first;  why : what is likeliest wrong, where the status is `does not fit`
+    """
 
     status: str | None = told(word())
     groups: dict = table_of(Group, needed="a table of groups")
@@ -169,6 +217,8 @@ class Materials:
     transfer: FoundTransfer = part(FoundTransfer)
     scale: str | None = told(word(*SCALES))
     image: Fit = part(Fit)
+    explained: list = list_of(Cause)
+    why: list = list_of(Why)
 
     def texture_files(self, path):
         """{group: {facet: file}}, the files as seen from where materials.json at `path` lies."""
@@ -187,4 +237,5 @@ def read(path) -> Materials:
 
 def write(path, materials: Materials):
     """Whole or absent. ValueError: a value that is not finite."""
-    artefact.write_json(path, plain(materials))
+    shown = plain(materials)
+    artefact.write_json(path, shown | {"why": shown["why"] or None})

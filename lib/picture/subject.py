@@ -8,6 +8,7 @@ import numpy as np
 
 from lib.core import artefact
 from lib.core.stage import BadInput
+from lib.given.falloff import Lens
 from lib.given.transfer import Transfer, display_of_linear
 from lib.given.transfer_kinds import OF_LIGHT
 from lib.given.view import View
@@ -27,6 +28,7 @@ class Subject:
 
     transfer : how the finished picture is displayed;  coverage : the A-buffer, see lib/buffers/coverage.py
     traced : light past mirrors and glossy surfaces, where `fit` has traced it
+    falloff : (H, W, 1) of the lens, or None
     """
 
     view: View
@@ -37,6 +39,7 @@ class Subject:
     transfer: Transfer
     traced: Traced | None = None
     warnings: list = field(default_factory=list)
+    falloff: np.ndarray | None = None
 
     @property
     def channels(self):
@@ -84,8 +87,13 @@ class Subject:
         """Whether T() is a function of the radiosity alone."""
         return self.view.photograph.linear or self.transfer.kind in OF_LIGHT
 
+    def through_lens(self, B):
+        """The light (H, W, C) as the lens lets it through."""
+        return B if self.falloff is None else B * self.falloff
+
     def show(self, B):
-        """Linear -> display values in [0, 1], any shape for functions of light alone, whole pictures for the others."""
+        """Linear -> display values in [0, 1], (H, W, C), with the lens's falloff."""
+        B = self.through_lens(B)
         if self.view.photograph.linear:
             return display_of_linear(B)
         if self.simple:
@@ -120,7 +128,19 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
     if traced is not None and not traced.fits(look.finish, len(factors.mesh)):
         traced = None
     surface = surfaces.surface(view.model, factors.lamps)
-    return Subject(view, surface, factors, pieces, look, found.transfer.function, traced, warnings)
+    return Subject(
+        view, surface, factors, pieces, look, found.transfer.function, traced, warnings, falloff(found, view)
+    )
+
+
+def falloff(found, view):
+    """(H, W, 1) what the lens lets through, None where nothing was found of it."""
+    cause = next((cause for cause in found.explained if cause.cause == "vignetting"), None)
+    if cause is None:
+        return None
+    height, width = view.shape
+    lens = Lens(tuple(cause.values["centre_px"]), (width, height))
+    return lens.gain(lens.pixels, cause.values["k"]).reshape(height, width, 1)
 
 
 @dataclass(frozen=True)

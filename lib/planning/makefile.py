@@ -93,6 +93,8 @@ def _head(plan, title):
         report = _shell([plan.build / plan.stages[name].report])
         said = _shell([f"{title}: {name}: not converged"])
         lines.append(f'\t@if grep -qs \'"status": "not converged"\' {report}; then echo {said}; fi')
+        said = _shell([f"{title}: {name}: does not fit: see the warnings above, and why in materials.json"])
+        lines.append(f'\t@if grep -qs \'"status": "does not fit"\' {report}; then echo {said}; fi')
     lines.append("\t@echo " + _shell([f"{title}: {page or ' '.join(map(str, sure))}"]))
     words = "# Written by lib/planning/plan.py; do not edit.\n# " + explain(plan).replace("\n", "\n# ") + "\n"
     return words + HEAD + "\n".join(lines) + "\n"

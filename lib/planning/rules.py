@@ -12,7 +12,9 @@ from lib.given import transfer_kinds
 from lib.given.kinds import KINDS
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
-KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "goals", "augment", "params")
+KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "goals", "augment", "params")
+BUILT_CAUSES = ("curve", "vignetting")
+CAUSES = (*BUILT_CAUSES, "lamp_place", "lamp_lobe", "glow", "pose", "objects", "fog")
 TRANSFERS = ("auto", *transfer_kinds.KINDS)
 
 
@@ -94,6 +96,17 @@ def lamps(value):
 def reference(value):
     for name, rho in (yield from _mapping("reference", value)).items():
         yield from _three(f"reference.{name}", rho, 0, 1, "")
+
+
+def explain(value):
+    if not isinstance(value, list):
+        yield "explain", value, f"is not a list of {', '.join(CAUSES)}"
+        return
+    for cause in value:
+        if cause not in CAUSES:
+            yield "explain", cause, f"is none of {', '.join(CAUSES)}"
+        elif cause not in BUILT_CAUSES:
+            yield "explain", cause, "is not built yet"
 
 
 def transfer(value):

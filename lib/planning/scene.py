@@ -29,6 +29,7 @@ class Scene:
     lamps: dict = field(default_factory=dict)  # group -> [r, g, b] emittance, or "unknown"
     reference: dict = field(default_factory=dict)  # group -> [r, g, b] reflectance
     transfer: object = None  # a word, or {"gamma": g}
+    explain: object = None  # causes that may be taken, None: all
     surfaces: dict = field(default_factory=dict)  # group -> kind
     goals: tuple = GOALS
     augment: tuple = ()
@@ -134,6 +135,7 @@ def read(folder, stages) -> Scene:
         "lamps": rules.lamps,
         "reference": rules.reference,
         "transfer": rules.transfer,
+        "explain": rules.explain,
         "surfaces": rules.surfaces,
         "goals": lambda v: rules.goals(v, outputs, bare),
         "augment": lambda v: rules.augment(v, bare),

@@ -40,7 +40,9 @@ def verdict(parts: Parts) -> Verdict:
     if finite(error):
         said += f" Against the known truth, reflectances are off by {percent(error)} on average."
     misfit = parts.reports["fit"].misfit if "fit" in parts.reports else None
-    if finite(misfit) and misfit > MISFIT:
+    if parts.materials and parts.materials.why:
+        said += " " + " ".join(f"{why.text[:1].upper()}{why.text[1:]}." for why in parts.materials.why)
+    elif finite(misfit) and misfit > MISFIT:
         said += (
             f" It differs {misfit:.0f} times more than noise explains: a lamp, the model, the pose or the transfer"
             " function is not as given."
@@ -66,6 +68,8 @@ def _status(parts: Parts):
 
 
 def _badge(status, weak):
+    if status == "does not fit":
+        return "bad", "Does not fit"
     if status == "not converged" or weak:
         return "warn", "Not converged"
     if status in ("converged", "complete"):

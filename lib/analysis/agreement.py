@@ -1,0 +1,157 @@
+"""Whether photograph and given facts agree, and what is likeliest wrong where they do not.
+
+A fit of some hundred numbers converges on anything. What it finds means something only if the light it rests on
+explains the photograph to its noise, and if no fact that scene.yaml tells would better be another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lib.analysis.candidates import Candidate, enough
+from lib.analysis.equations import Equations, Layout, Unknowns
+from lib.analysis.evidence import evidence, held_out, likelihood, noise_variance, promised
+from lib.analysis.gather import Gathered
+from lib.analysis.problem import Problem, Result, scale
+from lib.analysis.transport import TileLight
+from lib.given.materials import Why
+from lib.given.transfer_kinds import OF_PICTURE
+from lib.light.balance import reflected
+from lib.light.factors_file import FormFactors
+
+FITS = 1.2  # error that neighbouring tiles have in common, in what noise explains: exact scenes have .2 to .45, a pose
+# 2 px off has 1.3 to 2.6, a lamp 12 cm off 4 to 8
+OFF = 0.02  # relative difference of a lamp from what is told that is worth a word
+OPEN = 0.02  # share of a patch's light that leaves the model, from which a glow from outside is thought of
+TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
+ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which nothing found is believed
+
+
+def fits(result: Result) -> bool:
+    """What is left is noise: neighbouring tiles have little of it in common."""
+    return result.correlated <= FITS
+
+
+def disagreements(problem: Problem, result: Result, found: Gathered, factors: FormFactors, asked, rivals) -> list[Why]:
+    """What is likeliest wrong with the given facts, the likeliest first; [] where photograph and facts agree.
+
+    asked : transfer, as in scene.yaml;  rivals : {kind: nats} of other transfer functions
+    """
+    if not len(problem.tile_group) or result.at is None:
+        return []
+    why = [*_range(found), *_transfer(problem, asked, rivals)]
+    if problem.specular is None:
+        why += lamps(problem, result)
+        if not fits(result):
+            why += _open_model(problem, result, found, factors)
+    why.sort(key=lambda w: -(w.evidence_nats or np.inf))
+    if not why and not fits(result):
+        text = (
+            f"the re-rendering differs from the photograph by {result.correlated:.1f} times what noise explains, alike"
+            " over whole surfaces: the pose, the place of a lamp or of an object, or a material is not as given"
+        )
+        why = [Why("unknown", None, text, None)]
+    return why or _on_bounds(problem, result)
+
+
+def out_of_range(found: Gathered) -> bool:
+    """The photograph's values are so small that they must be meant for another range."""
+    return not found.linear and len(found.pixels) > 0 and found.pixels.max() <= TWELVE_BITS + 1e-9
+
+
+def _range(found: Gathered):
+    if not out_of_range(found):
+        return []
+    largest = found.pixels.max()
+    text = (
+        f"the photograph uses {largest:.1%} of its range at most: 12-bit data in a 16-bit file must be multiplied by 16"
+    )
+    return [Why("range", None, text, None)]
+
+
+def _transfer(problem, asked, rivals):
+    """A transfer function that scene.yaml tells, where another fits far better."""
+    if asked in (None, "auto", *OF_PICTURE) or not rivals:
+        return []
+    kind = max(rivals, key=rivals.get)
+    if rivals[kind] < enough(problem):
+        return []
+    text = f"the transfer function {kind} fits better than {_named(asked)} by {rivals[kind]:.0f} nats"
+    return [Why("transfer", None, text, float(rivals[kind]))]
+
+
+def _named(asked):
+    return f"gamma {asked['gamma']:g}" if isinstance(asked, dict) else asked
+
+
+def lamps(problem, result):
+    """Emittances that are told, where others fit far better."""
+    if np.isnan(problem.emittance).any() or scale(problem) != "lamps":
+        return []
+    state = result.state
+    freed = replace(problem, emittance=np.full_like(problem.emittance, np.nan))
+    start = Unknowns(state.rho, state.E, state.transfer)
+    own = evidence(problem, result.at).nats
+    if _one_step(freed, start) - own < enough(problem):
+        return []
+    free = Candidate.of(freed, start=start)
+    gain, ratio = free.evidence.nats - own, free.result.state.E / np.maximum(problem.emittance, 1e-12)
+    if gain < enough(problem):
+        return []
+    return [_lamp(name, ratio[k], gain) for k, name in enumerate(problem.lamps) if np.abs(ratio[k] - 1).max() > OFF]
+
+
+def _lamp(name, ratio, gain):
+    coloured = np.ptp(ratio) > OFF * ratio.mean()
+    said = ", ".join(f"{v:.3g}" for v in ratio) if coloured else f"{ratio.mean():.3g}"
+    text = f"lamp {name!r}: {said} times its emittance fits the photograph better by {gain:.0f} nats"
+    return Why("lamp_colour" if coloured else "lamp_power", name, text, float(gain))
+
+
+def _one_step(problem, at: Unknowns):
+    """Nats that one step from `at` brings, with what this problem leaves free."""
+    equations = Equations(problem, TileLight(problem), Layout.of(problem), at)
+    gradient, H = equations.prior()
+    predicted = held_out(problem, equations.residual, equations.jacobian(), gradient, H)
+    return likelihood(predicted, noise_variance(problem, equations)).nats
+
+
+def _open_model(problem, result, found, factors):
+    """Light that comes back through the openings of the model, evenly."""
+    at = result.at
+    patches, tiles = (_opening(rows.row_sums) for rows in (factors.rows, found.tiles.rows))
+    if patches.max(initial=0) < OPEN:
+        return []
+    share = at.state.rho[problem.patch_group].astype(np.float32)
+    C = problem.channels
+    db = reflected(at.light.matrices.F, share, share * patches[:, None].astype(np.float32), tolerance=1e-3).b
+    dB = at.shown_share * (tiles[:, None] + problem.G @ db)
+    columns = np.zeros((*dB.shape, C))
+    columns[:, np.arange(C), np.arange(C)] = at.slope * dB
+    gain = promised(problem, at, columns).nats - evidence(problem, at).nats
+    if gain < enough(problem):
+        return []
+    text = (
+        f"the model is open ({patches.max():.0%} of the light of a patch leaves it), and light from outside would"
+        f" explain the photograph better by {gain:.0f} nats: a wall or a window is missing"
+    )
+    return [Why("open_model", None, text, float(gain))]
+
+
+def _opening(row_sums):
+    return np.where(row_sums > 0, np.clip(1 - row_sums, 0, 1), 0)
+
+
+def _on_bounds(problem, result):
+    free = problem.seen_groups & np.isnan(problem.rho).any(axis=1)
+    if problem.specular is not None:
+        free[list(problem.specular.groups)] = False
+    at = free & ((result.state.rho > 0.9995) | (result.state.rho < 1e-6)).any(axis=1)
+    if at.sum() <= max(ON_BOUNDS * free.sum(), 1):
+        return []
+    text = (
+        f"the reflectances of {at.sum()} of {free.sum()} groups lie on their bounds: the lamps or the scale are not so"
+    )
+    return [Why("unknown", None, text, None)]

@@ -1,0 +1,121 @@
+"""Global causes before materials: what may be wrong with the picture as a whole, judged before any group climbs.
+
+The fit under the given facts comes first. From there one step towards each cause tells what it would bring to held-out
+tiles: next to nothing where the facts suffice, and then nothing more is computed. Causes that promise enough are
+fitted, the best is taken if it keeps its promise, and the question is asked again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lib.analysis import responses, vignetting
+from lib.analysis.agreement import fits
+from lib.analysis.candidates import NATS, Candidate, enough
+from lib.analysis.gauss_newton import fit
+from lib.analysis.problem import Problem, Result
+from lib.given.falloff import Lens
+
+CAUSES = ("curve", "vignetting")
+SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A fit, and the causes that it took.
+
+    scale : what fixed the scale of the light;  rivals : {kind: nats} of other transfer functions
+    taken : [Taken], in the order in which they were taken;  values : {cause: what it found}
+    given : the rough fit under the given facts
+    """
+
+    problem: Problem
+    result: Result
+    scale: str
+    rivals: dict = field(default_factory=dict)
+    taken: list = field(default_factory=list)
+    values: dict = field(default_factory=dict)
+    given: Candidate | None = None
+
+    @property
+    def is_sure(self):
+        """No material could bring as much: the causes are taken even where groups are no diffuse ones."""
+        nats = sum(taken.nats for taken in self.taken)
+        return not self.taken or nats >= NATS + SURE_PER_TILE * len(self.problem.tile_group)
+
+    def without_causes(self, **options) -> Explained:
+        """The fit under the given facts. options : of gauss_newton.gauss_newton"""
+        result, scale = fit(self.given.problem, start=self.given.start, **options)
+        return Explained(self.given.problem, result, scale, given=self.given)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A cause that was taken. nats : by which it beats what was there before;  rivals : {cause: nats} of the others"""
+
+    cause: str
+    nats: float
+    rivals: dict
+
+
+@dataclass(frozen=True, eq=False)
+class Leave:
+    """What may be explained. response : the transfer function is free;  causes : that may be taken
+
+    lens, pixel : where the pixels (M,) of the tiles lie; None: nothing is known of the lens
+    """
+
+    response: bool = True
+    causes: tuple = CAUSES
+    lens: Lens | None = None
+    pixel: object = None
+
+
+def explain(problem: Problem, leave: Leave, **options) -> Explained:
+    """The fit with the causes that the photograph supports.
+
+    options : of gauss_newton.gauss_newton
+    """
+    if not len(problem.tile_group):
+        return Explained(problem, *fit(problem, **options))
+    first = Candidate.of(problem, trace=options.get("trace"), gamma=options.pop("gamma", None))
+    best, taken, functions = _climbed(first, leave)
+    result, scale = fit(best.problem, start=best.start, **options)
+    result.iterations += best.result.iterations
+    rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c.kind != best.kind}
+    explained = Explained(best.problem, result, scale, rivals, taken, best.taken, first)
+    # where they do not suffice, what is wrong is none of these causes: they would only bend to it
+    return explained if not taken or fits(result) else explained.without_causes(**options)
+
+
+def _climbed(best: Candidate, leave: Leave):
+    """The best candidate, [Taken] on the way to it, and the candidates with other transfer functions."""
+    taken, functions, tried = [], (), set()
+    while wanted := _promising(best, leave, tried):
+        tried |= wanted.keys()
+        candidates = {}
+        if "response" in wanted:
+            functions = (best, *responses.fitted(best))
+            candidates["response"] = responses.simplest(functions) if leave.response else best
+        if "vignetting" in wanted:
+            candidates["vignetting"] = vignetting.fitted(best, leave.lens, leave.pixel)
+        better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}
+        if not better:
+            break
+        cause = max(better, key=lambda cause: better[cause].evidence.nats)
+        gain = {name: c.evidence.nats - best.evidence.nats for name, c in candidates.items()}
+        taken.append(Taken(cause, gain.pop(cause), gain))
+        best, tried = better[cause], {t.cause for t in taken}
+        functions = functions if cause == "response" else ()
+    return best, taken, functions
+
+
+def _promising(found: Candidate, leave: Leave, tried) -> dict:
+    """{cause: nats} of the causes that one step promises enough of."""
+    promises = {}
+    if found.problem.transfer.kind != "linear" and "response" not in tried:
+        promises["response"] = responses.promise(found)
+    if leave.lens is not None and "vignetting" in leave.causes and "vignetting" not in tried:
+        promises["vignetting"] = vignetting.promise(found, leave.lens, leave.pixel)
+    least = enough(found.problem)
+    return {cause: nats for cause, nats in promises.items() if nats >= least}

@@ -1,0 +1,79 @@
+"""Whether the lens is darker towards the corners, and how much: k of lib/given/falloff.py, fitted with the rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lib.analysis.candidates import Candidate
+from lib.analysis.evidence import promised
+from lib.analysis.gather import Gathered
+from lib.analysis.gauss_newton import gauss_newton
+from lib.analysis.problem import Cause, Problem
+from lib.given.falloff import Lens
+from lib.given.transfer import Metric, Transfer
+from lib.given.view import View
+
+TERMS = 3
+SPREAD = 1.0  # standard deviation of each k before anything is seen
+ROUNDS = 4  # of fitting and dividing
+SETTLED = 2e-3  # change of V at the corner that ends them
+
+
+def divided(pixels, gain, transfer: Transfer) -> np.ndarray:
+    """Display values (M, C) as they would be without a gain (M,) of the lens; above white they go on."""
+    light = transfer.linear(pixels) / gain[:, None]
+    return light if transfer.kind == "linear" else Metric(transfer).value(light)
+
+
+def _cause(problem: Problem, at, r2) -> Cause:
+    """The terms, linearised: what is seen, over V, is the light."""
+    gain = 1.0 if problem.gain is None else problem.gain
+    share = np.stack([r2 ** (j + 1) for j in range(TERMS)], axis=-1) / gain  # (T, k)
+    columns = (at.slope * at.state.B)[..., None] * share[:, None, :]
+    return Cause("vignetting", None, columns, np.full(TERMS, SPREAD))
+
+
+def _means(problem, values):
+    """(T,) of values (M,) of the tiles' pixels."""
+    return np.add.reduceat(values, problem.start[:-1]) / problem.n_pixels
+
+
+def promise(found: Candidate, lens: Lens, pixel) -> float:
+    """Nats that one step towards a vignetted picture brings. pixel : (M,) flat, of the tiles"""
+    cause = _cause(found.problem, found.result.at, _means(found.problem, lens.radius2(pixel)))
+    prior = np.diag(1 / cause.spread**2)
+    return promised(found.problem, found.result.at, cause.columns, prior=prior).nats - found.evidence.nats
+
+
+def fitted(found: Candidate, lens: Lens, pixel) -> Candidate:
+    """The fit with a vignetted lens; its problem has the lens's gain. `taken` holds k."""
+    problem, at = found.problem, found.result.at
+    r2, k = _means(problem, lens.radius2(pixel)), np.zeros(TERMS)
+    start = found.start
+    for _ in range(ROUNDS):
+        trial = replace(problem, cause=_cause(problem, at, r2))
+        result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=6)
+        at, step = result.at, result.state.cause
+        k = k + step
+        problem = replace(problem, gain=_means(problem, lens.gain(pixel, k))[:, None])
+        start = start._replace(rho=result.state.rho, E=result.state.E, transfer=result.state.transfer)
+        if abs(step.sum()) < SETTLED:
+            break
+    last = replace(problem, cause=_cause(problem, at, r2))
+    return Candidate.of(last, found.taken | {"vignetting": {"k": k, "centre_px": lens.centre}}, start=start)
+
+
+def corrected(gathered: Gathered, lens: Lens, k, transfer: Transfer) -> Gathered:
+    """Tiles of the photograph as it would be without the lens's shadow."""
+    gain = lens.gain(gathered.tiles.pixel, k)
+    return replace(gathered, pixels=divided(gathered.pixels, gain, transfer))
+
+
+def without(view: View, lens: Lens, k, transfer: Transfer) -> View:
+    """The photograph as it would be without the lens's shadow."""
+    values = view.photograph.values
+    gain = lens.gain(lens.pixels, k)
+    flat = divided(values.reshape(-1, values.shape[2]), gain, transfer)
+    return replace(view, photograph=replace(view.photograph, values=flat.reshape(values.shape)))

@@ -1,0 +1,104 @@
+"""What may be wrong with the picture as a whole: causes that are taken, and facts that do not agree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lib.analysis import agreement, explain
+from lib.analysis.explain import Leave
+from lib.analysis.gauss_newton import gauss_newton
+from lib.analysis.problem import Halves
+from lib.given import jpeg
+from lib.given.falloff import Lens
+from lib.given.transfer import Transfer
+from tests.test_fit import COLOURS, made
+
+SIZE = 120, 90
+LENS = Lens(((SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2), SIZE)
+K = (-1.05, 0.6, -0.15)
+
+
+def scattered(problem, seed=0):
+    """(M,) flat indices: each tile's pixels stand together somewhere in the picture."""
+    n = np.random.default_rng(seed).integers(0, SIZE[0] * SIZE[1] - problem.n_pixels.max(), len(problem.tile_group))
+    return np.concatenate([at + np.arange(k) for at, k in zip(n, problem.n_pixels, strict=True)])
+
+
+def darkened(problem, pixel, k=K):
+    """The photograph through a lens that is darker towards the corners."""
+    gain = LENS.gain(pixel, k)[:, None]
+    return replace(problem, pixels=problem.transfer.display(problem.transfer.linear(problem.pixels) * gain))
+
+
+def photographed(gamma=2.0, **more):
+    problem, rho, _ = made(COLOURS, gamma=gamma, noise=0.01, **more)
+    return replace(problem, transfer=Transfer("gamma", gamma)), rho
+
+
+def test_a_vignetted_lens_is_found_and_taken():
+    problem, rho = photographed()
+    pixel = scattered(problem)
+    found = explain.explain(darkened(problem, pixel), Leave(lens=LENS, pixel=pixel), max_iterations=40)
+    assert [t.cause for t in found.taken] == ["vignetting"]
+    r2 = np.linspace(0, 1, 20)
+    shape = lambda k: sum(value * r2 ** (j + 1) for j, value in enumerate(k))
+    assert np.abs(shape(found.values["vignetting"]["k"]) - shape(K)).max() < 0.02
+    off = np.abs(found.result.state.rho - rho)[1:]
+    assert off.max() < 0.01 and (off < 4 * found.result.sigma_rho[1:] + 1e-4).all()
+
+
+def test_a_clean_lens_takes_no_cause():
+    problem, _ = photographed()
+    pixel = scattered(problem)
+    assert explain.explain(problem, Leave(lens=LENS, pixel=pixel), max_iterations=40).taken == []
+
+
+def test_without_leave_nothing_is_taken():
+    problem, _ = photographed()
+    pixel = scattered(problem)
+    leave = Leave(causes=("curve",), lens=LENS, pixel=pixel)
+    assert "vignetting" not in explain.explain(darkened(problem, pixel), leave, max_iterations=40).values
+
+
+@pytest.mark.parametrize("factor, cause", [((1.3, 1.3, 1.3), "lamp_power"), ((1.3, 1.0, 0.8), "lamp_colour")])
+def test_a_lamp_that_is_not_as_told_is_named(factor, cause):
+    problem, _ = photographed()
+    problem = replace(problem, emittance=problem.emittance * factor)
+    result = gauss_newton(problem)
+    why = agreement.lamps(problem, result)
+    assert [(w.cause, w.subject) for w in why] == [(cause, "lamp")]
+
+
+def test_lamps_as_told_are_not_doubted():
+    for seed in range(10):
+        problem, _ = photographed(seed=seed)
+        assert agreement.lamps(problem, gauss_newton(problem)) == []
+
+
+def test_what_neighbours_have_in_common_is_no_noise():
+    """Sigma grows where the model errs over whole surfaces, and not where pixels are noisy."""
+    problem, _ = photographed()
+    problem = replace(problem, halves=Halves(problem.G, problem.G, problem.F, problem.F))
+    shade = np.repeat(np.sin(np.linspace(0, 12, len(problem.tile_group))), problem.n_pixels)[:, None]
+    wrong = replace(problem, pixels=problem.pixels * (1 + 0.02 * shade))
+    clean, off = gauss_newton(problem), gauss_newton(wrong)
+    assert agreement.fits(clean)
+    assert off.correlated > 3 * max(clean.correlated, 0.1)
+    assert np.nanmedian(off.sigma_rho[1:] / clean.sigma_rho[1:]) > 2
+
+
+def test_jpeg_says_how_much_it_rounds():
+    import cv2
+
+    random = np.random.default_rng(0)
+    smooth = cv2.resize(random.uniform(60, 190, (6, 8, 3)), (256, 192), interpolation=cv2.INTER_CUBIC)
+    smooth = np.clip(smooth, 0, 255)
+    measured = []
+    for quality in (95, 80, 50):
+        data = cv2.imencode(".jpg", smooth.round().astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        error = (cv2.imdecode(data, cv2.IMREAD_COLOR) - smooth) / 255
+        blocks = error.reshape(24, 8, 32, 8, 3).mean(axis=(1, 3))
+        measured.append(jpeg.block_noise(data.tobytes()) / blocks.std())
+    assert all(0.5 < ratio < 4 for ratio in measured), measured
+    assert jpeg.block_noise(b"\x89PNG") == 0
