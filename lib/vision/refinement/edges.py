@@ -99,6 +99,7 @@ class Samples:
     """Points of visible edges.
 
     p : (N, 3) m, world; q, normal : (N, 2) px; edge : (N,); clear : (N,) px, so far nothing else begins on both sides
+    sides : (N, 2) facets that the model shows against the normal and along it, -1 for none
     """
 
     p: np.ndarray
@@ -106,6 +107,7 @@ class Samples:
     normal: np.ndarray
     edge: np.ndarray
     clear: np.ndarray
+    sides: np.ndarray
 
 
 def draw(model, camera):
@@ -127,7 +129,8 @@ def visible_samples(model, edges, camera, factor=1, step_px=4.0, reach=8) -> Sam
     begin, end = edges_.clip_to_picture(small, a, b, 1e-3 * max(np.abs(a).max(), 1e-12))
     e = np.flatnonzero(begin < end)
     if len(e) == 0:
-        return Samples(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, int), np.zeros(0))
+        none = np.zeros((0, 2))
+        return Samples(np.zeros((0, 3)), none, none, np.zeros(0, int), np.zeros(0), none.astype(int))
     za, zb = (a[e] + s[e, None] * (b[e] - a[e]) for s in (begin, end))
     qa, qb = ((z @ K.T)[:, :2] / z[:, 2:] for z in (za, zb))
     length = np.linalg.norm(qb - qa, axis=1)
@@ -161,7 +164,7 @@ def visible_samples(model, edges, camera, factor=1, step_px=4.0, reach=8) -> Sam
         clear, _alone(q, normal, owner, 1 / np.maximum(_inverse(t, za, zb, owner), 1e-300), index.depth, reach)
     )
     seen = (shown[0] != shown[1]) & (mine[0] | mine[1]) & (clear >= 1)
-    return Samples(p[seen], q[seen], normal[seen], e[owner][seen], clear[seen])
+    return Samples(p[seen], q[seen], normal[seen], e[owner][seen], clear[seen], np.column_stack(shown)[seen])
 
 
 def _inverse(t, za, zb, owner):
@@ -200,7 +203,7 @@ def _alone(q, normal, edge, z, depth, reach):
 # What the photograph shows.
 
 
-def _profiles(level, at):
+def profiles(level, at):
     """(N, L, C) of the picture at (N, L, 2) px, between pixels linearly."""
     import cv2
 
@@ -227,7 +230,7 @@ def find(level, q, normal, reach):
     half = int(math.ceil(reach / step))
     o = step * np.arange(-half - 2, half + 3)
     at = q[:, None] + o[None, :, None] * normal[:, None]
-    profile = _profiles(level, at)
+    profile = profiles(level, at)
     change = profile[:, 4:] - profile[:, :-4]  # over two pixels, at o[2:-2]
     M = np.linalg.norm(change, axis=2)  # (N, 2 half + 1)
     inner = o[2:-2]
@@ -265,7 +268,7 @@ def locate(level, q, normal, clear, ramp=1.0):
     step = 0.5
     o = step * np.arange(-8, 9)
     at = q[:, None] + o[None, :, None] * normal[:, None]
-    profile = _profiles(level, at)
+    profile = profiles(level, at)
     profile = profile.transpose(0, 2, 1).astype(float)  # (N, C, L)
     for width, low, high in ((4, 4, math.inf), (3, 3, 4), (2, 1.8, 3)):
         mine = np.flatnonzero((clear >= low) & (clear < high))
