@@ -91,6 +91,7 @@ def main(opt):
                 scale = scale_of(problem)
                 explained = explain.Explained(problem, result, scale)
             why = agreement.disagreements(problem, result, found, factors, opt.transfer, explained.rivals)
+            why = agreement.joined(why, displaced(opt, result))
         described = describe.describe(
             problem,
             result,
@@ -110,6 +111,18 @@ def main(opt):
         report.error("image.rmse", described.image.rmse, unit="display", against="the photograph's tiles")
         report.error("balance.residual", result.residual, unit="1", against="eq. 3.2")
         materials.write(opt.materials, described)
+
+
+def displaced(opt, result):
+    """What stands elsewhere, by the photograph's edges, where the light leaves a doubt."""
+    from lib.analysis import places
+
+    if result.correlated < places.LOOK or opt.explain == [] or not (opt.camera and opt.model and opt.photograph):
+        return []
+    from lib.given.view import View
+
+    view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph)
+    return places.displaced(view, opt.lamps)
 
 
 def leave_of(opt, found):

@@ -56,6 +56,12 @@ def disagreements(problem: Problem, result: Result, found: Gathered, factors: Fo
     return why or _on_bounds(problem, result)
 
 
+def joined(why, displaced) -> list[Why]:
+    """Both lists, the likeliest first; what is displaced tells what was unknown."""
+    why = [w for w in why if w.cause != "unknown" or not displaced]
+    return sorted([*why, *displaced], key=lambda w: -(w.evidence_nats or np.inf))
+
+
 def out_of_range(found: Gathered) -> bool:
     """The photograph's values are so small that they must be meant for another range."""
     return not found.linear and len(found.pixels) > 0 and found.pixels.max() <= TWELVE_BITS + 1e-9
