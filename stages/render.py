@@ -74,7 +74,7 @@ def main(opt):
         picture = rendering.render(subject, quality, timing=report.timing, trace=report.trace)
         report.error("flux", picture.light.imbalance, unit="1", against="emitted = absorbed + escaped, patches")
         with report.timing("scores"):
-            shown, wanted = subject.show(picture.linear), subject.wanted
+            shown, wanted = subject.show(subject.through_lens(picture.linear)), subject.wanted
             values, depth = subject.quantised(shown)
             scores = display.scores(values, wanted, subject.group, subject.groups)
             scores |= {"difference_gain": GAIN, "difference_zero": 0.5}
@@ -82,7 +82,12 @@ def main(opt):
         with report.timing("comparisons"):
             local, ambient, power = phong.phong_picture(subject, picture)
             against = "photograph; eq. 3.1, ambient and power fitted"
-            report.error("phong.rmse", display.rmse(subject.show(local), wanted), unit="display", against=against)
+            report.error(
+                "phong.rmse",
+                display.rmse(subject.show(subject.through_lens(local)), wanted),
+                unit="display",
+                against=against,
+            )
             report["phong"] = {"ambient": ambient, "power": power}
             if not subject.view.photograph.linear:
                 T = subject.transfer

@@ -92,8 +92,7 @@ class Subject:
         return B if self.falloff is None else B * self.falloff
 
     def show(self, B):
-        """Linear -> display values in [0, 1], (H, W, C), with the lens's falloff."""
-        B = self.through_lens(B)
+        """Linear -> display values in [0, 1], any shape for functions of light alone, whole pictures for the others."""
         if self.view.photograph.linear:
             return display_of_linear(B)
         if self.simple:
