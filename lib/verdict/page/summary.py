@@ -98,10 +98,18 @@ def _photometry(parts: Parts):
         said.append(f"{_identified(parts)} of {every} {plural(every, 'group')} identified")
     if other := ladder.counts(parts.materials):
         said.append(f"not diffuse: {other}")
+    if parts.materials:
+        said += [f"{_taken(cause)} taken into account" for cause in parts.materials.explained]
     if parts.transfer.kind == "gamma" and finite(parts.transfer.gamma):
         gamma = pm(parts.transfer.gamma, parts.transfer.sigma, 3)
         said.append(f"gamma {gamma}" + ("" if parts.transfer.sigma else f" ({without_sigma(parts)})"))
     return said
+
+
+def _taken(cause):
+    """A cause in words, with what speaks for it."""
+    name = cause.cause.replace("_", " ")
+    return f"{name} ({cause.evidence_nats:.0f} nats)" if finite(cause.evidence_nats) else name
 
 
 def _identified(parts: Parts):
