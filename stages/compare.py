@@ -26,7 +26,9 @@ VISION = "model calibration lens lens_right camera camera_right posed regions fa
 
 
 def options():
-    parser = stage.parser(__doc__, may_read=f"{FILES} {VISION}", may_lack="mirror", writes="scorecard comparison")
+    parser = stage.parser(
+        __doc__, may_read=f"{FILES} {VISION}", may_lack="mirror", writes="scorecard comparison", refined="model"
+    )
     parser.add_argument("--scene", default="scene", help="its name")
     parser.add_argument("--reports", nargs="*", default=[])
     return parser

@@ -19,7 +19,7 @@ from lib.core import packages, stage
 
 
 def options():
-    parser = stage.parser(__doc__, reads="model camera facet", writes="coverage")
+    parser = stage.parser(__doc__, reads="model camera facet", writes="coverage", refined="camera model")
     parser.add_argument(
         "--method", choices=("opengl", "rays"), default="opengl", help="opengl turns to rays where there is no EGL"
     )

@@ -13,11 +13,15 @@ writes  materials     per group: its kind, rho_d, rho_s, alpha, tangent with sig
                       beside it textures/ if a group has one
         specular      how light goes past mirrors and glossy surfaces, only if there are any
         mirror        what the pixels of mirrors show, only if there is one
+        camera-out, model-out, causes-out: the camera, the model and why, only if the photograph puts one elsewhere;
+                      all is to be made again from them then, and the materials are rough
 """
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
 from lib.core import stage
@@ -28,8 +32,10 @@ def options():
         __doc__,
         reads="gather formfactors",
         may_read="audit model camera photograph facet",
+        may_lack="refined_causes",
+        refined="camera model",
         writes="materials",
-        may_write="specular mirror",
+        may_write="specular mirror camera_out model_out causes_out",
     )
     parser.add_argument("--lamps", type=stage.json_option, required=True)
     parser.add_argument("--reference", type=stage.json_option, default={})
@@ -66,32 +72,42 @@ def main(opt):
 
             from lib.analysis import agreement, describe, explain, facts, gather, paper
             from lib.analysis.problem import scale as scale_of
-            from lib.given import materials
+            from lib.given import cameras, materials
             from lib.light import factors_file
         with report.timing("read"):
             factors = factors_file.read(opt.formfactors)
             found = gather.read(opt.gather)
             problem = facts.problem_of(factors, found, lamps=opt.lamps, reference=opt.reference, transfer=opt.transfer)
+            camera = cameras.read_cameramodel(opt.camera) if opt.camera else None
         trace = lambda iteration, image_rmse, state: report.trace(
             iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
         )
         options = {"max_iterations": opt.max_iterations, "tolerance": opt.tolerance}
-        climb, textures = None, {}
+        climb, textures, edges = None, {}, None
         with report.timing("fit"):
             if opt.method == "gauss-newton":
-                leave = leave_of(opt, found)
+                leave = explain.Leave.of(camera, found, opt.transfer, opt.explain)
                 explained = explain.explain(problem, leave, gamma=opt.gamma, trace=trace, **options)
-                ascent, explained = climbed(opt, report, explained, factors, found, options)
+                audited = audit(opt, report, explained, factors, found)
+                refined, edges = (False, None) if audited is None else refine(opt, explained, factors, found, audited)
+                if audited and audited.flagged and not refined:
+                    if not explained.is_sure:
+                        explained = explained.without_causes(**options)
+                        audited = audit(opt, report, explained, factors, found)
+                    climb, textures = climbed(opt, report, explained, factors, found, audited, options)
                 problem, result, scale = explained.problem, explained.result, explained.scale
-                if ascent:
-                    climb, textures = ascent
+                if climb:
                     problem, result, scale = climb.problem, climb.result, climb.scale
             else:
                 result = paper.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
                 scale = scale_of(problem)
                 explained = explain.Explained(problem, result, scale)
+            if opt.refined_causes and not climb:
+                problem = unsure(opt, problem, result, factors, found)
             why = agreement.disagreements(problem, result, found, factors, opt.transfer, explained.rivals)
-            why = agreement.joined(why, displaced(opt, result))
+            if agreement.in_doubt(result) and opt.method == "gauss-newton" and opt.explain != []:
+                edges = edges or looked(opt)
+                why = agreement.joined(why, edges.why if edges else [])
         described = describe.describe(
             problem,
             result,
@@ -99,6 +115,7 @@ def main(opt):
             scale=scale,
             transfer=opt.transfer,
             explained=explained,
+            refined=materials.read_causes(opt.refined_causes) if opt.refined_causes else [],
             why=why,
             climb=climb,
             textures=textures,
@@ -113,83 +130,106 @@ def main(opt):
         materials.write(opt.materials, described)
 
 
-def displaced(opt, result):
-    """What stands elsewhere, by the photograph's edges, where the light leaves a doubt."""
-    from lib.analysis import places
+class Audited(NamedTuple):
+    """gathered : the audit's tiles, without the lens's shadow;  flagged : a group may be more than diffuse
+    given : {group number: kind}, of scene.yaml"""
 
-    if result.correlated < places.LOOK or opt.explain == [] or not (opt.camera and opt.model and opt.photograph):
-        return []
-    from lib.given.view import View
-
-    view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph)
-    return places.displaced(view, opt.lamps)
+    gathered: object
+    flagged: bool
+    given: dict
 
 
-def leave_of(opt, found):
-    """What may be explained, as far as the camera is known."""
-    from lib.analysis import agreement, explain
-    from lib.given import cameras
-    from lib.given.falloff import Lens
-
-    lens = None
-    if opt.camera:
-        camera = cameras.read_cameramodel(opt.camera)
-        lens = Lens((camera.K[0, 2], camera.K[1, 2]), (camera.width, camera.height))
-    causes = tuple(explain.CAUSES if opt.explain is None else opt.explain)
-    causes = () if agreement.out_of_range(found) else causes  # nothing can be learnt from such values
-    free = opt.transfer in (None, "auto") and "curve" in causes
-    return explain.Leave(free, causes, lens, found.tiles.pixel)
+def files(opt):
+    """What shows the photograph with its camera and model."""
+    return {name: getattr(opt, name) for name in ("camera", "model", "photograph", "facet")}
 
 
-def climbed(opt, report, explained, factors, found, options):
-    """The ladder: (Climb, {group: Textured}), or None, after an audit alone, where every group is diffuse.
-
-    And what is explained by causes: not by weak ones, where the ladder may explain more.
-    """
-    from lib.analysis import agreement, gather, misfits, vignetting
+def audit(opt, report, explained, factors, found):
+    """Whether diffuse surfaces explain every group; None where that cannot be told."""
+    from lib.analysis import agreement, gather, misfits
     from lib.analysis.receivers import unplaced
 
-    problem, result, scale = explained.problem, explained.result, explained.scale
-    files = {name: getattr(opt, name) for name in ("camera", "model", "photograph", "facet")}
-    if not opt.audit or not all(files.values()) or not len(problem.tile_group) or agreement.out_of_range(found):
-        return None, explained
-    audit, lens = gather.read(opt.audit), explained.values.get("vignetting")
-    where = leave_of(opt, found).lens
-    if lens:
-        audit = vignetting.corrected(audit, where, lens["k"], result.state.transfer)
-    held = len(audit.visible), audit.tiles.rows.columns
+    problem, result = explained.problem, explained.result
+    if not opt.audit or not all(files(opt).values()) or not len(problem.tile_group) or agreement.out_of_range(found):
+        return None
+    gathered = explained.evened(gather.read(opt.audit))
+    held = len(gathered.visible), gathered.tiles.rows.columns
     if held != (len(problem.groups), len(problem.area)):
         raise stage.BadInput(f"{opt.audit}: groups, patches: {held[0]}, {held[1]} are not those of {opt.formfactors}")
     given = {problem.groups.index(name): kind for name, kind in opt.surfaces.items()}
-    judged, _ = misfits.audit(factors.subcell(), problem, result, unplaced(audit))
+    judged, _ = misfits.audit(factors.subcell(), problem, result, unplaced(gathered))
     excess = {problem.groups[g]: m.excess for g, m in judged.items() if m.judged}
-    report["ladder"] = summary = {"threshold": opt.threshold, "diffuse": excess, "rays": {}, "rounds": 0}
-    if not misfits.flagged(problem, judged, given, opt.threshold):
+    report["ladder"] = {"threshold": opt.threshold, "diffuse": excess, "rays": {}, "rounds": 0}
+    flagged = bool(misfits.flagged(problem, judged, given, opt.threshold))
+    if not flagged:
         misfits.doubt(problem, result, judged, opt.threshold, given)
-        return None, explained
-    if not explained.is_sure:
-        return climbed(opt, report, explained.without_causes(**options), factors, found, options)
+    return Audited(gathered, flagged, given)
+
+
+def refine(opt, explained, factors, found, audited):
+    """(whether camera and model as they should be were written, what the photograph's edges say or None)."""
+    from lib.analysis import agreement
+
+    causes = {"pose", "objects", "lamp_place"} if opt.explain is None else set(opt.explain)
+    if not opt.causes_out or not agreement.in_doubt(explained.result):
+        return False, None
+    from lib.analysis import refine
+    from lib.given.view import View
+
+    view = View.read(**files(opt))
+    edges, refined = looked(opt), None
+    if edges.allowed(causes):
+        refined = refine.by_edges(view, edges)
+    elif not edges.causes and "lamp_place" in causes:
+        refined = refine.by_light(view, factors, found, explained, sure=not audited.flagged)
+    return refined is not None and refined.write(opt.camera_out, opt.model_out, opt.causes_out), edges
+
+
+def unsure(opt, problem, result, factors, found):
+    """The problem with what is unsure of where things stand, which the sigmas of the result then hold as well."""
+    from lib.analysis import refine
+    from lib.analysis.uncertainty import uncertainty
+    from lib.given import materials
+    from lib.given.view import View
+
+    moves = refine.unsure(View.read(**files(opt)), factors, found, materials.read_causes(opt.refined_causes))
+    problem = replace(problem, unsure=tuple(moves))
+    if moves and result.at is not None:
+        uncertainty(problem, result.at, result)
+    return problem
+
+
+def looked(opt):
+    """What the photograph's edges say of camera, objects and lamps; None where a file is not there."""
+    if not (opt.camera and opt.model and opt.photograph):
+        return None
+    from lib.analysis import places
+    from lib.given.view import View
+
+    view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph)
+    return places.by_edges(view, opt.lamps)
+
+
+def climbed(opt, report, explained, factors, found, audited, options):
+    """The ladder: (Climb or None where what is wrong is not one material, {group: Textured})."""
+    from lib.analysis import agreement, misfits
+
     with report.excluded("compile"):
         from lib.analysis import ascent
         from lib.given.view import View
         from lib.light import factors_file
 
         ascent.warm_up()
-    view = View.read(**files)
-    if lens:
-        problem, result, scale, found = ascent.flattened(problem, result, found, where, lens["k"], options)
-        view = vignetting.without(view, where, lens["k"], result.state.transfer)
+    view = View.read(**files(opt))
     factors_file.check(factors, opt.formfactors, view.model, opt.model)
     done = ascent.ascend(
         view,
         factors,
-        problem,
-        result,
-        scale,
+        explained,
         found,
-        audit,
+        audited.gathered,
         lobe_rays=opt.lobe_rays,
-        given=given,
+        given=audited.given,
         threshold=opt.threshold,
         trace=lambda round, step, fitted: report.trace(
             round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
@@ -197,14 +237,14 @@ def climbed(opt, report, explained, factors, found, options):
         options=options,
     )
     climb = done.climb
-    if not agreement.fits(climb.result) and not given:
-        return None, explained  # what is wrong is not one material: nothing is made up from it
+    if not agreement.fits(climb.result) and not audited.given:
+        return None, {}  # nothing is made up from it
     for warning in ascent.warnings(done):
         report.warning(warning)
-    misfits.doubt(climb.problem, climb.result, climb.misfits, opt.threshold, given, climb.places)
+    misfits.doubt(climb.problem, climb.result, climb.misfits, opt.threshold, audited.given, climb.places)
     textures = ascent.write_files(done, Path(opt.materials).parent, opt.specular, opt.mirror)
-    summary |= ascent.summary(done)
-    return (climb, textures), explained
+    report["ladder"] |= ascent.summary(done)
+    return climb, textures
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ OPEN = 0.03  # of a patch's light that leaves: more than rays that pass between 
 
 
 def options():
-    parser = stage.parser(__doc__, reads="model", writes="formfactors")
+    parser = stage.parser(__doc__, reads="model", writes="formfactors", refined="model")
     parser.add_argument("--lamps", type=stage.json_option, required=True, help="JSON list of group names")
     parser.add_argument("--method", choices=["rays", "hemicube", "analytic"], default="rays")
     parser.add_argument("--patches", type=stage.whole(1), default=300, help="root cells, if all had equal area")

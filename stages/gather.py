@@ -18,7 +18,11 @@ from lib.core import stage
 
 def options():
     parser = stage.parser(
-        __doc__, reads="model camera photograph facet trusted formfactors", writes="gather", may_write="audit"
+        __doc__,
+        reads="model camera photograph facet trusted formfactors",
+        writes="gather",
+        may_write="audit",
+        refined="camera model",
     )
     parser.add_argument(
         "--rays-per-tile", type=stage.whole(1), default=512, help="at least so many rays from each tile"

@@ -23,7 +23,10 @@ from lib.core import packages, stage
 
 def options():
     parser = stage.parser(
-        __doc__, reads="model camera photograph", may_write="group object facet legend depth hidden trusted"
+        __doc__,
+        reads="model camera photograph",
+        may_write="group object facet legend depth hidden trusted",
+        refined="camera model",
     )
     parser.add_argument(
         "--method", choices=("opengl", "rays"), default="opengl", help="opengl turns to rays where there is no EGL"

@@ -19,7 +19,12 @@ from lib.core import stage
 
 
 def options():
-    parser = stage.parser(__doc__, reads="model camera photograph facet formfactors materials", writes="pictures")
+    parser = stage.parser(
+        __doc__,
+        reads="model camera photograph facet formfactors materials",
+        writes="pictures",
+        refined="camera model",
+    )
     parser.add_argument(
         "--method",
         choices=["progressive", "southwell", "gauss_seidel", "jacobi", "krylov", "direct"],

@@ -34,6 +34,7 @@ def options():
         reads="model camera photograph facet formfactors materials coverage",
         may_lack="specular",
         writes="rendered exr difference scores",
+        refined="camera model",
     )
     parser.add_argument("--rays", type=stage.whole(1), default=256, help="gathering rays at each place")
     parser.add_argument("--shadow-rays", type=stage.whole(1), default=64, help="per pixel and lamp in a penumbra")

@@ -25,7 +25,7 @@ FILES = (
 
 
 def options():
-    parser = stage.parser(__doc__, may_read=FILES, writes="page")
+    parser = stage.parser(__doc__, may_read=FILES, writes="page", refined="model")
     parser.add_argument("--scene", default="scene", help="its name")
     parser.add_argument("--transfer", type=stage.json_option, help="what scene.yaml says of it")
     parser.add_argument("--reports", nargs="*", default=[])

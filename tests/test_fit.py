@@ -115,7 +115,7 @@ def test_derivatives_against_finite_differences():
     E = np.full((1, 3), 1.3)
     at = Equations(problem, light, layout, Unknowns(rho, E, Transfer("gamma", 2.1)))
     light.derivative = None
-    theta, J = layout.pack(at.state), at.jacobian()
+    theta, J = layout.pack(at.state), at.jacobian
     for step in (1e-3, 1e-4):
         for k in range(layout.size):
             d = np.zeros(layout.size)

@@ -65,7 +65,9 @@ def test_what_is_left_out_and_why(folder):
   without recognise: its output is given (left.posed.cameramodel)
   without radiosity: no goal needs it
   without mirror buffers, lobes and textures: fit and render make them only where a group's error, or `surfaces`, \
-demands it; never for groups named diffuse"""
+demands it; never for groups named diffuse
+  without a second run of index, formfactors, gather, fit: only where the photograph puts the camera, an object or a \
+lamp elsewhere"""
     )
 
 

@@ -801,7 +801,7 @@ def linearised(p, rho_s, bend):
 
 
 def check_derivatives(at, layout, p):
-    theta, J = layout.pack(at.state), at.jacobian()
+    theta, J = layout.pack(at.state), at.jacobian
     assert layout.size == len(theta) == J.shape[1]
     for step in (1e-2, 1e-3):
         for k in range(layout.size):

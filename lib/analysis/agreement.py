@@ -23,6 +23,7 @@ from lib.light.factors_file import FormFactors
 
 FITS = 1.2  # error that neighbouring tiles have in common, in what noise explains: exact scenes have .2 to .45, a pose
 # 2 px off has 1.3 to 2.6, a lamp 12 cm off 4 to 8
+DOUBT = 0.4  # of the same, from which it is worth while to look further
 OFF = 0.02  # relative difference of a lamp from what is told that is worth a word
 OPEN = 0.02  # share of a patch's light that leaves the model, from which a glow from outside is thought of
 TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
@@ -32,6 +33,11 @@ ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which
 def fits(result: Result) -> bool:
     """What is left is noise: neighbouring tiles have little of it in common."""
     return result.correlated <= FITS
+
+
+def in_doubt(result: Result) -> bool:
+    """The geometry may not be as given."""
+    return result.correlated >= DOUBT
 
 
 def disagreements(problem: Problem, result: Result, found: Gathered, factors: FormFactors, asked, rivals) -> list[Why]:
@@ -81,9 +87,11 @@ def _transfer(problem, asked, rivals):
     """A transfer function that scene.yaml tells, where another fits far better."""
     if asked in (None, "auto", *OF_PICTURE) or not rivals:
         return []
-    kind = max(rivals, key=rivals.get)
-    if rivals[kind] < enough(problem):
+    most = max(rivals.values())
+    if most < enough(problem):
         return []
+    near = [kind for kind, nats in rivals.items() if nats > most - enough(problem)]
+    kind = min(near, key=lambda kind: kind == "curve")  # the simplest of those that are as good
     text = f"the transfer function {kind} fits better than {_named(asked)} by {rivals[kind]:.0f} nats"
     return [Why("transfer", None, text, float(rivals[kind]))]
 
@@ -120,7 +128,7 @@ def _one_step(problem, at: Unknowns):
     """Nats that one step from `at` brings, with what this problem leaves free."""
     equations = Equations(problem, TileLight(problem), Layout.of(problem), at)
     gradient, H = equations.prior()
-    predicted = held_out(problem, equations.residual, equations.jacobian(), gradient, H)
+    predicted = held_out(problem, equations.residual, equations.jacobian, gradient, H)
     return likelihood(predicted, noise_variance(problem, equations)).nats
 
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from lib.analysis import vignetting
 from lib.analysis.climbing import Climb
-from lib.analysis.equations import Unknowns
+from lib.analysis.explain import Explained
 from lib.analysis.gather import Gathered
-from lib.analysis.gauss_newton import fit
 from lib.analysis.ladder import climb
-from lib.analysis.problem import Problem, Result
 from lib.analysis.site import Site, site_of
 from lib.analysis.textures import write_textures
 from lib.core import artefact
@@ -46,28 +42,22 @@ def warm_up():
 def ascend(
     view: View,
     factors: FormFactors,
-    problem: Problem,
-    result: Result,
-    scale,
+    explained: Explained,
     found: Gathered,
     audit: Gathered,
     *,
     lobe_rays,
-    **options,
+    options,
+    **climbing,
 ) -> Ascent:
-    """From the diffuse fit (problem, result, scale) to every group's rung. options : of ladder.climb"""
+    """From the diffuse fit to every group's rung. options : of gauss_newton.gauss_newton;  climbing : of ladder.climb
+
+    audit : without the lens's shadow
+    """
+    explained, view, found = explained.flattened(view, found, **options)
     surface = surfaces.surface(view.model, factors.lamps)
-    site = site_of(view, surface, factors, problem, found, audit, lobe_rays=lobe_rays)
-    return Ascent(site, climb(site, result, scale, **options))
-
-
-def flattened(problem: Problem, result: Result, found: Gathered, lens, k, options):
-    """(problem, result, scale, found) of the photograph without the lens's shadow, as if it had been taken so."""
-    state = result.state
-    found = vignetting.corrected(found, lens, k, state.transfer)
-    problem = replace(problem, pixels=found.pixels, gain=None, cause=None)
-    result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
-    return problem, result, scale, found
+    site = site_of(view, surface, factors, explained.problem, found, audit, lobe_rays=lobe_rays)
+    return Ascent(site, climb(site, explained.result, explained.scale, options=options, **climbing))
 
 
 def warnings(ascent: Ascent) -> list:

@@ -31,12 +31,14 @@ def describe(
     scale,
     transfer,
     explained: Explained,
+    refined=(),
     why=(),
     climb: Climb | None = None,
     textures: dict[int, Textured] | None = None,
 ) -> Materials:
     """What materials.json says. One-channel results stand three times.
 
+    refined : [Cause] for which camera or model are not as given
     transfer : as scene.yaml has it, or None;  why : [Why] where photograph and given facts do not agree
     climb : where a group is not diffuse;  textures : by group
     """
@@ -58,7 +60,8 @@ def describe(
     lamps = {name: _lamp(problem, result, k, scale) for k, name in enumerate(problem.lamps)}
     function = _transfer(problem, result, transfer, explained.rivals)
     fit = Fit(rmse, int(result.iterations))
-    return Materials(status, groups, lamps, function, scale, fit, _causes(explained, result), list(why))
+    causes = sorted([*refined, *_causes(explained, result)], key=lambda cause: -(cause.evidence_nats or 0))
+    return Materials(status, groups, lamps, function, scale, fit, causes, list(why))
 
 
 def _causes(explained: Explained, result) -> list[Cause]:

@@ -177,14 +177,18 @@ class Equations:
         self.light.derivative = solution.b
         return solution.b
 
-    def jacobian(self, light: TileLight | None = None, slope=None, by_transfer=None):
-        """(T C, n) with all rays of the tiles, or with those of another light and its slopes of the display values."""
+    @cached_property
+    def jacobian(self):
+        """(T C, n) of the residual, with all rays of the tiles."""
+        return self._jacobian(self.light, self.slope, self.by_transfer)
+
+    def _jacobian(self, light: TileLight, slope, by_transfer):
+        """The same with the rays of a light, and its slopes of the display values."""
         self.light.at(self.state.rho_s)
-        db = self.patch_derivative
-        J = _tile_derivative(self.problem, light or self.light, self.layout, self.state, db)
-        J = (self.slope if slope is None else slope)[:, :, None] * J
+        J = _tile_derivative(self.problem, light, self.layout, self.state, self.patch_derivative)
+        J = slope[:, :, None] * J
         if self.layout.transfer:
-            J[:, :, self.layout.responding] = self.by_transfer if by_transfer is None else by_transfer
+            J[:, :, self.layout.responding] = by_transfer
         if self.layout.cause:
             J[:, :, self.layout.responding.stop :] = self.problem.cause.columns
         return J.reshape(-1, self.layout.size)
@@ -196,7 +200,7 @@ class Equations:
         B = light.shown(s.rho, s.E, s.b, () if s.bend is None else s.bend)
         residual, slope, by_transfer = display_residual(self.problem, B, s.transfer)
         residual = residual + self._caused()
-        return residual.reshape(-1), self.jacobian(light, slope, by_transfer)
+        return residual.reshape(-1), self._jacobian(light, slope, by_transfer)
 
     def prior(self):
         """Of the groups never seen, and of a curve's bends: gradient (n,) and Hessian (n, n)."""

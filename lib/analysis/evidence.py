@@ -84,7 +84,7 @@ def noise_variance(problem: Problem, at: Equations) -> np.ndarray:
 def evidence(problem: Problem, at: Equations) -> Evidence:
     """Of the fit that ended at these equations."""
     gradient, H = at.prior()
-    predicted = held_out(problem, at.residual, at.jacobian(), gradient, H)
+    predicted = held_out(problem, at.residual, at.jacobian, gradient, H)
     return likelihood(predicted, noise_variance(problem, at))
 
 
@@ -97,7 +97,7 @@ def promised(problem: Problem, at: Equations, columns, own=slice(0, 0), prior=No
     keep = np.ones(at.layout.size, bool)
     keep[own] = False
     k = columns.shape[-1]
-    J = np.concatenate([at.jacobian()[:, keep], columns.reshape(-1, k)], axis=1)
+    J = np.concatenate([at.jacobian[:, keep], columns.reshape(-1, k)], axis=1)
     gradient, H = at.prior()
     wider = np.zeros((J.shape[1],) * 2)
     wider[:-k, :-k] = H[np.ix_(keep, keep)]

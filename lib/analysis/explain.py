@@ -7,16 +7,19 @@ fitted, the best is taken if it keeps its promise, and the question is asked aga
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from lib.analysis import responses, vignetting
-from lib.analysis.agreement import fits
+from lib.analysis.agreement import fits, out_of_range
 from lib.analysis.candidates import NATS, Candidate, enough
+from lib.analysis.equations import Unknowns
+from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import fit
 from lib.analysis.problem import Problem, Result
 from lib.given.falloff import Lens
+from lib.given.view import View
 
-CAUSES = ("curve", "vignetting")
+CAUSES = ("curve", "vignetting", "pose", "objects", "lamp_place")
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
 
@@ -26,7 +29,7 @@ class Explained:
 
     scale : what fixed the scale of the light;  rivals : {kind: nats} of other transfer functions
     taken : [Taken], in the order in which they were taken;  values : {cause: what it found}
-    given : the rough fit under the given facts
+    given : the rough fit under the given facts;  lens : None where nothing is known of it
     """
 
     problem: Problem
@@ -36,6 +39,7 @@ class Explained:
     taken: list = field(default_factory=list)
     values: dict = field(default_factory=dict)
     given: Candidate | None = None
+    lens: Lens | None = None
 
     @property
     def is_sure(self):
@@ -46,7 +50,29 @@ class Explained:
     def without_causes(self, **options) -> Explained:
         """The fit under the given facts. options : of gauss_newton.gauss_newton"""
         result, scale = fit(self.given.problem, start=self.given.start, **options)
-        return Explained(self.given.problem, result, scale, given=self.given)
+        return Explained(self.given.problem, result, scale, given=self.given, lens=self.lens)
+
+    @property
+    def falloff(self):
+        """k of the lens, None where it is as bright in the corners."""
+        found = self.values.get("vignetting")
+        return None if found is None else found["k"]
+
+    def evened(self, gathered: Gathered) -> Gathered:
+        """Tiles as they would be without the lens's shadow."""
+        if self.falloff is None:
+            return gathered
+        return vignetting.corrected(gathered, self.lens, self.falloff, self.result.state.transfer)
+
+    def flattened(self, view: View, found: Gathered, **options):
+        """(self, view, found) of the photograph without the lens's shadow, as if it had been taken so."""
+        if self.falloff is None:
+            return self, view, found
+        state, found = self.result.state, self.evened(found)
+        problem = replace(self.problem, pixels=found.pixels, gain=None, cause=None)
+        result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
+        view = vignetting.without(view, self.lens, self.falloff, state.transfer)
+        return replace(self, problem=problem, result=result, scale=scale), view, found
 
 
 @dataclass(frozen=True)
@@ -70,6 +96,14 @@ class Leave:
     lens: Lens | None = None
     pixel: object = None
 
+    @classmethod
+    def of(cls, camera, found: Gathered, transfer, causes) -> Leave:
+        """camera : Camera or None;  transfer, causes : of scene.yaml, None: all that is left open"""
+        lens = None if camera is None else Lens((camera.K[0, 2], camera.K[1, 2]), (camera.width, camera.height))
+        causes = tuple(CAUSES if causes is None else causes)
+        causes = () if out_of_range(found) else causes  # nothing can be learnt from such values
+        return cls(transfer in (None, "auto") and "curve" in causes, causes, lens, found.tiles.pixel)
+
 
 def explain(problem: Problem, leave: Leave, **options) -> Explained:
     """The fit with the causes that the photograph supports.
@@ -77,13 +111,13 @@ def explain(problem: Problem, leave: Leave, **options) -> Explained:
     options : of gauss_newton.gauss_newton
     """
     if not len(problem.tile_group):
-        return Explained(problem, *fit(problem, **options))
+        return Explained(problem, *fit(problem, **options), lens=leave.lens)
     first = Candidate.of(problem, trace=options.get("trace"), gamma=options.pop("gamma", None))
     best, taken, functions = _climbed(first, leave)
     result, scale = fit(best.problem, start=best.start, **options)
     result.iterations += best.result.iterations
-    rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c.kind != best.kind}
-    explained = Explained(best.problem, result, scale, rivals, taken, best.taken, first)
+    rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
+    explained = Explained(best.problem, result, scale, rivals, taken, best.taken, first, leave.lens)
     # where they do not suffice, what is wrong is none of these causes: they would only bend to it
     return explained if not taken or fits(result) else explained.without_causes(**options)
 

@@ -31,7 +31,8 @@ def gauss_newton(
     """
     layout, light = Layout.of(problem), TileLight(problem)
     if start is None:
-        transfer = problem.transfer if gamma is None or not problem.fit_transfer else problem.transfer.moved([gamma])
+        begins = gamma is not None and problem.fit_transfer and problem.transfer.kind == "gamma"
+        transfer = problem.transfer.moved([gamma]) if begins else problem.transfer
         start = Unknowns(*initialise(problem, transfer), transfer)
     at = Equations(problem, light, layout, _begun(problem, layout, start))
     solvable = layout.size > 0 and len(problem.tile_group) > 0
@@ -66,7 +67,7 @@ def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
             return at, converged, iteration
         iteration += 1
         weight = weights(problem, at.residual)
-        J = at.jacobian()
+        J = at.jacobian
         gradient, prior = at.prior()
         H = J.T @ (weight.reshape(-1, 1) * J) + prior
         g = J.T @ (weight * at.residual).reshape(-1) + gradient

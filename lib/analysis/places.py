@@ -1,73 +1,120 @@
-"""Where the photograph's edges put the camera and the objects, in words: what is likeliest wrong with the geometry."""
+"""Where the photograph's edges put the camera, its principal point, objects and lamps: as causes, and in words."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from lib.buffers.opengl import NoGraphics
-from lib.given.materials import Why
+from lib.given.cameras import matrix_from_rt
+from lib.given.materials import Cause, Rival, Why
 from lib.given.view import View
-from lib.vision.registration.register import register
+from lib.vision.registration.register import Registration, register
 
-LOOK = 0.4  # Result.correlated from which the edges are looked at; exact rooms have .2 to .45
+TWIST = "twist_covariance"  # (6, 6) of an object's turn and move, world, beside the sigma of what it found
 
 
-def displaced(view: View, lamps) -> list[Why]:
-    """What stands elsewhere than the given files say; [] where the edges agree, or cannot be looked at.
+@dataclass(frozen=True)
+class Places:
+    """What stands elsewhere than the given files say, the likeliest first.
 
-    lamps : names of the groups that emit
+    registration : None where the edges cannot be looked at
+    causes : [Cause], as materials.json lists them;  why : [Why], the same in words
     """
+
+    registration: Registration | None
+    causes: list
+    why: list
+
+    def allowed(self, causes) -> bool:
+        """All of it may be taken. causes : that may be, as scene.yaml has them"""
+        leave = {"principal_point": "pose"}
+        return bool(self.causes) and all(leave.get(c.cause, c.cause) in causes for c in self.causes)
+
+
+def by_edges(view: View, lamps) -> Places:
+    """lamps : names of the groups that emit"""
     try:
         found = register(view.model, view.camera, view.photograph)
     except (ImportError, NoGraphics):
-        return []
-    why = []
+        return Places(None, [], [])
+    pairs = [*_camera(found), *(_thing(found, view.model, name, lamps) for name in found.objects)]
+    pairs.sort(key=lambda pair: -(pair[0].evidence_nats or 0))
+    return Places(found, *([pair[k] for pair in pairs] for k in (0, 1)))
+
+
+def _camera(found):
+    """(Cause, Why) of the pose and of the principal point, as far as they are off."""
     if found.pose is not None:
-        text = f"the camera is turned by {_degrees(found.pose):.2f} degrees and moved by {_mm(found.pose):.0f} mm"
-        why.append(_why("pose", None, text, found, "pose"))
+        degrees, mm = np.degrees(np.linalg.norm(found.pose[:3])), 1000 * np.linalg.norm(found.pose[3:])
+        text = f"the camera is turned by {degrees:.2f} degrees and moved by {mm:.0f} mm"
+        yield _pair(found, "pose", "pose", None, "rt_correction", found.pose, found.covariance, text)
     if found.centre_px is not None:
         x, y = found.centre_px
         text = f"the principal point is off by ({x:+.2f}, {y:+.2f}) px"
-        why.append(_why("principal_point", None, text, found, "principal_point"))
-    for name, moved in found.objects.items():
-        lamp = _lamp_of(view.model, name, lamps)
-        offset = moved.rt[3:] + _turned(moved.rt[:3], _centre(view.model, name)) - _centre(view.model, name)
-        text = f"object {name!r} stands {1000 * np.linalg.norm(offset):.0f} mm from where the model has it"
-        why.append(_why("lamp_place" if lamp else "objects", lamp or name, text, found, ("objects", name)))
-    return sorted(why, key=lambda w: -(w.evidence_nats or 0))
+        key = "principal_point"
+        yield _pair(found, key, key, None, "offset_px", found.centre_px, found.centre_covariance, text)
 
 
-def _why(cause, subject, text, found, key):
+def _thing(found, model, name, lamps):
+    """(Cause, Why) of an object that stands elsewhere."""
+    moved, lamp = found.objects[name], lamp_of(model, name, lamps)
+    middle = middle_of(model, name)
+    T = matrix_from_rt(moved.rt)
+    offset = T[:3, :3] @ middle + T[:3, 3] - middle
+    text = f"object {name!r} stands {1000 * np.linalg.norm(offset):.0f} mm from where the model has it"
+    if lamp:
+        shift = np.hstack([_cross(middle), np.eye(3)])  # of the middle, by a turn and a move of the world
+        return _pair(
+            found,
+            ("objects", name),
+            "lamp_place",
+            lamp,
+            "offset_m",
+            offset,
+            shift @ moved.covariance @ shift.T,
+            text,
+        )
+    return _pair(found, ("objects", name), "objects", name, "rt_world_object", moved.rt, moved.covariance, text)
+
+
+def _cross(p):
+    """(3, 3): omega x p = _cross(p) @ omega."""
+    return np.array([[0, p[2], -p[1]], [-p[2], 0, p[0]], [p[1], -p[0], 0]])
+
+
+def _pair(found, key, cause, subject, value, numbers, covariance, text):
     nats = found.nats.get(key)
+    nats = None if nats is None else float(nats)
+    rivals = [Rival(kind, float(n)) for kind, n in found.rivals.items() if kind != cause and isinstance(kind, str)]
+    values = {value: [float(v) for v in numbers]}
+    sigma = {value: [float(s) for s in np.sqrt(np.maximum(np.diag(covariance), 0))]}
+    if subject is not None:
+        sigma[TWIST] = found.objects[key[1]].covariance.tolist()
     said = f"{text}, say the edges of the photograph (median {found.before_px:.2f} px off, then {found.after_px:.2f})"
-    return Why(cause, subject, said, None if nats is None else float(nats))
-
-
-def _degrees(rt):
-    return np.degrees(np.linalg.norm(rt[:3]))
-
-
-def _mm(rt):
-    return 1000 * np.linalg.norm(rt[3:])
-
-
-def _turned(r, point):
-    import cv2
-
-    return cv2.Rodrigues(np.asarray(r, float))[0] @ point
+    return Cause(cause, subject, values, sigma, nats, rivals), Why(cause, subject, said, nats)
 
 
 def _facets(model, name):
     return np.flatnonzero(np.asarray(model.facet_object) == model.objects.index(name))
 
 
-def _centre(model, name):
+def middle_of(model, name):
     """(3,) m, of the object's vertices."""
     triangles = np.isin(model.triangle_facet, _facets(model, name))
     return model.vertices[model.triangles[triangles]].reshape(-1, 3).mean(axis=0)
 
 
-def _lamp_of(model, name, lamps):
+def object_of(model, cause: Cause):
+    """The number of the object that a cause moves."""
+    if cause.cause != "lamp_place":
+        return model.objects.index(cause.subject)
+    facets = np.asarray(model.facet_group) == model.groups.index(cause.subject)
+    return int(np.asarray(model.facet_object)[facets][0])
+
+
+def lamp_of(model, name, lamps):
     """The lamp that is of this object, or None."""
     groups = {model.groups[g] for g in np.asarray(model.facet_group)[_facets(model, name)]}
     return next((lamp for lamp in lamps if lamp in groups), None)

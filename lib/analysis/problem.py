@@ -136,7 +136,7 @@ class SpecularTerms:
         return self._mixtures[key][0]
 
 
-class Cause(NamedTuple):
+class CauseTerms(NamedTuple):
     """What may be wrong with the picture as a whole, linearised: k numbers that are 0 where the problem stands.
 
     columns : (T, C, k) derivatives of the display residual;  spread : (k,) standard deviations of the prior, or inf
@@ -162,6 +162,7 @@ class Problem:
     variance : (T, 1) display, of what is known not to be explained (a texture), or None
     cause : fitted with the rest, or None;  gain : (T, 1) of the lens, by which the photograph is divided, or None
     block_noise : display, of blocks of pixels (JPEG)
+    unsure : ((dD, dD_tile), ...) changes of the lamps' light by one standard deviation of where things stand
     """
 
     F: Any
@@ -185,9 +186,10 @@ class Problem:
     group_area: np.ndarray | None = None
     specular: SpecularTerms | None = None
     variance: np.ndarray | None = None
-    cause: Cause | None = None
+    cause: CauseTerms | None = None
     gain: np.ndarray | None = None
     block_noise: float = 0.0
+    unsure: tuple = ()
 
     def __post_init__(self):
         self.photograph = TilePixels(self.pixels, self.start)

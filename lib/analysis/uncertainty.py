@@ -14,6 +14,7 @@ from lib.analysis.equations import Equations
 from lib.analysis.folds import FOLDS, folds
 from lib.analysis.problem import MISFIT, Problem, Result, weights
 from lib.analysis.transport import TileLight
+from lib.light.balance import reflected
 
 SQUARED_MEDIAN = 0.455  # of a normal variable's square: median(x^2) / 0.455 is a robust variance
 LEAST = 0.02  # smaller values are as unsure as this one, relative to it
@@ -52,7 +53,7 @@ class _Normal:
     def __init__(self, problem, at):
         self.at, self.channels, self.n = at, problem.channels, at.layout.size
         self.theta = at.layout.pack(at.state)
-        self.J = at.jacobian()
+        self.J = at.jacobian
         self.weight = weights(problem, at.residual).reshape(-1)
         self.prior = at.prior()[1]
         self.pixel = np.repeat(problem.noise_variance(problem.n_pixels), problem.channels)
@@ -116,6 +117,14 @@ def _common_errors(problem, at, normal):
     found = {"discretisation": 0.5 * normal.push(rho_tile * ((problem.G - problem.G_plain) @ state.b))}
     for doubt in problem.specular.doubts if problem.specular is not None else ():
         found[doubt.cause] = normal.push(at.light.bent(doubt.W, doubt.V, state.E, state.b))
+    for k, (dD, dD_tile) in enumerate(problem.unsure):
+        db = reflected(
+            at.light.matrices.F,
+            state.rho[problem.patch_group],
+            (dD @ state.E) * state.rho[problem.patch_group],
+            tolerance=1e-3,
+        ).b
+        found[f"place {k}"] = normal.push(rho_tile * (dD_tile @ state.E + problem.G @ db))
     if problem.halves:
         b0, b1 = (
             TileLight(problem, F, problem.G, state.rho_s).solve(state.rho, state.E, state.b)[0]

@@ -10,7 +10,7 @@ from lib.analysis.candidates import Candidate
 from lib.analysis.evidence import promised
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import gauss_newton
-from lib.analysis.problem import Cause, Problem
+from lib.analysis.problem import CauseTerms, Problem
 from lib.given.falloff import Lens
 from lib.given.transfer import Metric, Transfer
 from lib.given.view import View
@@ -27,12 +27,12 @@ def divided(pixels, gain, transfer: Transfer) -> np.ndarray:
     return light if transfer.kind == "linear" else Metric(transfer).value(light)
 
 
-def _cause(problem: Problem, at, r2) -> Cause:
+def _cause(problem: Problem, at, r2) -> CauseTerms:
     """The terms, linearised: what is seen, over V, is the light."""
     gain = 1.0 if problem.gain is None else problem.gain
     share = np.stack([r2 ** (j + 1) for j in range(TERMS)], axis=-1) / gain  # (T, k)
     columns = (at.slope * at.state.B)[..., None] * share[:, None, :]
-    return Cause("vignetting", None, columns, np.full(TERMS, SPREAD))
+    return CauseTerms("vignetting", None, columns, np.full(TERMS, SPREAD))
 
 
 def _means(problem, values):

@@ -90,19 +90,23 @@ def _end_at_once():
 # ---- options ----
 
 
-def parser(doc, *, reads="", may_read="", may_lack="", writes="", may_write="") -> argparse.ArgumentParser:
+def parser(doc, *, reads="", may_read="", may_lack="", writes="", may_write="", refined="") -> argparse.ArgumentParser:
     """A stage's parser: its docstring as --help, a file for each name, and --report.
 
     reads, writes : names of files that must be given, as words;  may_read, may_write : those that need not
     may_lack : files that another stage may write (pipeline.yaml, may_write).  The option names where such a file would
         be; `run` makes it None where the file is not there
+    refined : names of files for which another may stand (pipeline.yaml, refines): `--refined-camera` for `--camera`;
+        `run` puts it in its place where it is there
     """
     result = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    may_lack = " ".join([may_lack, *(f"refined_{name}" for name in refined.split())])
     for names, required in ((reads, True), (f"{may_read} {may_lack}", False), (writes, True), (may_write, False)):
         for name in names.split():
             result.add_argument(option_of(name), required=required)
     result.add_argument("--report")
-    result.set_defaults(_inputs=[*reads.split(), *may_read.split(), *may_lack.split()], _may_lack=may_lack.split())
+    inputs = [*reads.split(), *may_read.split(), *may_lack.split()]
+    result.set_defaults(_inputs=inputs, _may_lack=may_lack.split(), _refined=refined.split())
     return result
 
 
@@ -111,11 +115,13 @@ def _forget_missing(opt):
         path = getattr(opt, name)
         if path and not os.path.exists(path):
             setattr(opt, name, None)
+    for name in getattr(opt, "_refined", ()):
+        setattr(opt, name, getattr(opt, f"refined_{name}") or getattr(opt, name))
 
 
 def inputs(opt) -> list[str]:
     """The files that a stage was given to read."""
-    return [getattr(opt, name) for name in opt._inputs if getattr(opt, name)]
+    return list(dict.fromkeys(path for name in opt._inputs if (path := getattr(opt, name))))
 
 
 def arguments(opt) -> dict:

@@ -187,6 +187,13 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class Causes:
+    """refined.json: why the camera or the model are not as given."""
+
+    causes: list = list_of(Cause)
+
+
+@dataclass(frozen=True)
 class Why:
     """What is likeliest wrong where photograph and given facts do not agree."""
 
@@ -233,6 +240,16 @@ class Materials:
 def read(path) -> Materials:
     """materials.json, found or true. BadInput: one line for each value that breaks its rule: file, field, value."""
     return record.read(path, Materials)
+
+
+def read_causes(path) -> list[Cause]:
+    """refined.json."""
+    return record.read(path, Causes).causes
+
+
+def write_causes(path, causes: Causes):
+    """Whole or absent."""
+    artefact.write_json(path, plain(causes))
 
 
 def write(path, materials: Materials):

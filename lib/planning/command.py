@@ -30,9 +30,11 @@ def command(plan, stage, python) -> Command:
         fact = plan.scene.fact(key)
         if fact is not None:
             argv += [option_of(option), fact if key == "scene" else artefact.dumps_json(fact)]
-    for option, file in stage.written.items():
-        argv += [option_of(option), str(plan.destination(stage, file))]
-    argv += ["--report", str(plan.build / stage.report)]
+    refines = {option: plan.build / file for option, file in stage.refines.items()} if plan.is_draft else {}
+    written = {option: plan.destination(stage, file) for option, file in stage.written.items()} | refines
+    for option, path in written.items():
+        argv += [option_of(option), str(path)]
+    argv += ["--report", str(plan.folder(stage) / stage.report)]
     for name, value in {**stage.params, **plan.scene.params.get(stage.name, {})}.items():
         if value is not None:
             argv += [option_of(name), value if isinstance(value, str) else artefact.dumps_json(value)]
@@ -42,7 +44,7 @@ def command(plan, stage, python) -> Command:
 def _reading(plan, stage, file):
     """(words after the option, files to depend on) of one file that a stage reads, or may read."""
     if file == REPORTS:
-        reports = [plan.build / plan.stages[name].report for name in plan.before(stage)]
+        reports = [plan.folder(plan.stages[name]) / plan.stages[name].report for name in plan.before(stage)]
         return [str(path) for path in reports], reports
     if file.endswith("/"):
         folder = plan.scene.given(file)
@@ -53,7 +55,8 @@ def _reading(plan, stage, file):
     if not path:
         return [], []
     materials = sorted(path.parent.glob("*.mtl")) if path.suffix == ".obj" else []
-    return [str(path)], [plan.certain(file), *materials]
+    waits = plan.certain(file)
+    return [str(path)], [*([waits] if waits else []), *materials]
 
 
 # ---- imports ----

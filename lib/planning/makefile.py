@@ -6,6 +6,7 @@ line is a file, build/<scene>/commands/<stage>, that changes only when its conte
 
 import re
 import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lib.core import artefact
@@ -69,8 +70,8 @@ def makefile(plan, python, root=ROOT, title=None) -> tuple[str, dict[Path, str]]
     for goal in plan.goals:
         if plan.scene.given(goal):
             rules.append(_copying(plan, goal, commands))
-    for name in plan.planned:
-        rules.append(_running(plan, plan.stages[name], python, root, commands))
+    for runs in (plan.draft, plan):
+        rules += [_running(runs, plan.stages[name], python, root, commands) for name in runs.planned]
     return _head(plan, title or plan.scene.name) + "\n" + "\n".join(rules), commands
 
 
@@ -114,25 +115,74 @@ def _copying(plan, goal, commands):
 
 def _running(plan, stage, python, root, commands):
     """The rule of a stage."""
+    rule = _rule(plan, stage, python, root, commands)
+    if stage.name in plan.again and not plan.is_draft:
+        rule = replace(rule, inputs=[*rule.inputs, *_of_draft(plan, stage)], recipe=_again(plan, stage, rule))
+    prerequisites = [*rule.inputs, stage.script, *(here(path) for path in imports(stage.script, root)), rule.stamp]
+    head = f"{' '.join(map(_make, rule.targets))} &: \\\n  {' '.join(map(_make, dict.fromkeys(prerequisites)))}"
+    return "\n".join([head, *rule.recipe]) + "\n"
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """targets, inputs : paths;  stamp : the path of the command's file;  recipe : lines"""
+
+    targets: list
+    inputs: list
+    stamp: Path
+    recipe: list
+
+
+def _rule(plan, stage, python, root, commands):
+    """What a stage's rule is made of."""
     scene, build = plan.scene, plan.build
     argv, inputs = command(plan, stage, python)
-    stamp = build / "commands" / stage.name
+    stamp = build / "commands" / ("draft." * plan.is_draft + stage.name)
     given = [path for path in inputs if not path.is_relative_to(build)]
     commands[stamp] = "\n".join([shlex.join(argv), *map(_stamp, given)]) + "\n"
-    modules = [here(path) for path in imports(stage.script, root)]
-    targets = [build / file for file in stage.outputs if not scene.given(file)]
-    stale = [build / file for file in stage.may_write.values() if not scene.given(file)]
+    folder = plan.folder(stage)
+    targets = [folder / file for file in stage.outputs if not scene.given(file)]
+    stale = [folder / file for file in stage.may_write.values() if not scene.given(file)]
+    stale += [build / file for file in stage.refines.values()] if plan.is_draft else []
     scratch = build / "scratch" / stage.name if any(scene.given(file) for file in stage.written.values()) else None
-    prerequisites = [*inputs, stage.script, *modules, stamp]
-    lines = [f"{' '.join(map(_make, targets))} &: \\\n  {' '.join(map(_make, prerequisites))}"]
+    recipe = [f"\t@mkdir -p -- {_shell([folder])}"] if plan.is_draft else []
     if stale:
-        lines.append(f"\t@rm -f -- {_shell(stale)}")
+        recipe.append(f"\t@rm -f -- {_shell(stale)}")
     if scratch:
-        lines.append(f"\t@rm -rf -- {_shell([scratch])}; mkdir -p {_shell([scratch])}")
-    lines.append("\t" + _broken(argv))
+        recipe.append(f"\t@rm -rf -- {_shell([scratch])}; mkdir -p {_shell([scratch])}")
+    recipe.append("\t" + _broken(argv))
     if scratch:
-        lines.append(f"\t@rm -rf -- {_shell([scratch])}")
-    return "\n".join(lines) + "\n"
+        recipe.append(f"\t@rm -rf -- {_shell([scratch])}")
+    return _Rule(targets, inputs, stamp, recipe)
+
+
+def _of_draft(plan, stage):
+    """What the second run waits for: what the first has written, and whether camera or model were refined."""
+    draft = plan.draft
+    waits = [draft.folder(stage) / file for file in stage.outputs]
+    if plan.refiner.name in plan.planned:
+        waits.append(draft.folder(plan.refiner) / plan.refiner.report)
+    return waits
+
+
+def _again(plan, stage, rule):
+    """The recipe of a second run: the files of the first are good where neither camera nor model was refined."""
+    refined = " || ".join(f"[ -e {_shell([plan.build / file])} ]" for file in plan.refiner.refines.values())
+    files = [*stage.written.values(), stage.report, *stage.beside]
+    build, draft = plan.build, plan.draft.folder(stage)
+    copy = draft / f".{stage.name}"
+    run = " && \\\n\t".join(line.removeprefix("\t").removeprefix("@") for line in rule.recipe)
+    lines = [
+        f"@if {refined}; then",
+        f"echo {_shell([f'{stage.name}: again, with the refined camera and model'])};",
+        f"{run};",
+        f"else rm -rf -- {_shell([copy])} && mkdir -p -- {_shell([copy])} && for file in {_shell(files)}; do",
+        f'rm -rf -- {_shell([build])}/"$$file"; [ ! -e {_shell([draft])}/"$$file" ] ||',
+        f'{{ cp -R -- {_shell([draft])}/"$$file" {_shell([copy])}/ &&',
+        f'mv -- {_shell([copy])}/"$$file" {_shell([build])}/; }} || exit 1;',
+        f"done; rm -rf -- {_shell([copy])}; fi",
+    ]
+    return ["\t" + " \\\n\t".join(lines)]
 
 
 # ---- words of Make and of the shell ----

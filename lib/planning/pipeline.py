@@ -10,7 +10,7 @@ from lib.planning.yaml_file import read_yaml
 REPORTS = "*.report.json"  # of the planned stages above
 FACTS = ("board", "lens", "lamps", "lamp_groups", "reference", "transfer", "surfaces", "explain", "augment", "scene")
 FILES = ("reads", "may_read", "writes", "may_write")
-ENTRY = ("script", *FILES, "facts", "params", "sweep", "needs")
+ENTRY = ("script", *FILES, "beside", "refines", "facts", "params", "sweep", "needs")
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,8 @@ class Stage:
     may_read: dict = field(default_factory=dict)
     writes: dict = field(default_factory=dict)
     may_write: dict = field(default_factory=dict)  # written only where a scene has it
+    beside: list = field(default_factory=list)  # folders that it may write beside them
+    refines: dict = field(default_factory=dict)  # camera and model as they should have been; what reads them is redone
     facts: dict = field(default_factory=dict)  # option -> key of scene.yaml
     params: dict = field(default_factory=dict)  # name -> default
     sweep: dict = field(default_factory=dict)
@@ -45,7 +47,7 @@ class Stage:
     @property
     def files(self) -> list[str]:
         """The files that may be there when the stage has ended well."""
-        return [*self.written.values(), self.report]
+        return [*self.written.values(), *self.refines.values(), self.report]
 
     @property
     def built(self) -> bool:
@@ -81,7 +83,7 @@ def read_pipeline(path) -> dict[str, Stage]:
     problems = []
     for name, stage in stages.items():
         problems += [f"{path}: {problem}" for problem in _entry_problems(stage, entries[name])]
-        for file in stage.written.values():
+        for file in [*stage.written.values(), *stage.refines.values()]:
             if file in writers:
                 problems.append(f"{path}: {name}.writes: {file} is written by {writers[file].name} too")
             else:
@@ -109,7 +111,7 @@ def _entry_problems(stage, entry):
     for key in stage.sweep:
         if key not in stage.params:
             yield f"{name}.sweep.{key}: no such parameter"
-    options = [option for key in (*FILES, "facts", "params") for option in getattr(stage, key)]
+    options = [option for key in (*FILES, "refines", "facts", "params") for option in getattr(stage, key)]
     for option in sorted({o for o in options if options.count(o) > 1}):
         yield f"{name}: the option {option} stands there twice"
 
@@ -119,8 +121,9 @@ def _reading_problems(stages, writers):
     order = list(stages)
     for name, stage in stages.items():
         for file in [*stage.reads.values(), *stage.may_read.values()]:
-            if file in writers and order.index(writers[file].name) >= order.index(name):
+            late = file in writers and order.index(writers[file].name) >= order.index(name)
+            if late and file not in writers[file].refines.values():
                 yield f"{name} reads {file}, which {writers[file].name} writes only later"
         for option, file in stage.reads.items():
-            if file in writers and file in writers[file].may_write.values():
+            if file in writers and file not in writers[file].outputs:
                 yield f"{name}.reads.{option}: {writers[file].name} need not write {file}: list it under may_read"

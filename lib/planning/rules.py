@@ -13,8 +13,9 @@ from lib.given.kinds import KINDS
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "goals", "augment", "params")
-BUILT_CAUSES = ("curve", "vignetting")
-CAUSES = (*BUILT_CAUSES, "lamp_place", "lamp_lobe", "glow", "pose", "objects", "fog")
+GEOMETRIC = ("pose", "objects", "lamp_place")
+BUILT_CAUSES = ("curve", "vignetting", *GEOMETRIC)
+CAUSES = (*BUILT_CAUSES, "lamp_lobe", "glow", "fog")
 TRANSFERS = ("auto", *transfer_kinds.KINDS)
 
 

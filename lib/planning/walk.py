@@ -4,13 +4,14 @@ Three rules: a file in the scene's folder is given; a stage runs only if one of 
 is passed on when it is there and pulls nothing in.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lib.core.stage import BadInput
 from lib.planning import doctor
 from lib.planning.files import SIDES, alternatives
 from lib.planning.pipeline import REPORTS, Stage
+from lib.planning.rules import GEOMETRIC
 from lib.planning.scene import Scene
 
 CLOSING = ("scorecard.csv",)  # a goal of every scene, whatever it says
@@ -26,6 +27,22 @@ class Plan:
     planned: list[str]  # names, in order
     goals: list[str]  # files
     passed_over: dict[str, str]  # stage -> its output that was needed but is given
+    again: tuple[str, ...] = ()  # stages that run on the given camera and model first, and again on refined ones
+    is_draft: bool = False  # it tells of the first of these runs
+
+    @property
+    def draft(self) -> "Plan":
+        """What runs on the camera and the model as given."""
+        return replace(self, is_draft=True, planned=[name for name in self.planned if name in self.again])
+
+    @property
+    def refiner(self) -> Stage | None:
+        """The stage that may refine camera and model, None where nothing is refined."""
+        return self.stages[self.again[-1]] if self.again else None
+
+    def folder(self, stage) -> Path:
+        """Where a stage writes."""
+        return self.build / "draft" if self.is_draft and stage.name in self.again else self.build
 
     def before(self, stage) -> list[str]:
         """The planned stages above one."""
@@ -36,27 +53,39 @@ class Plan:
         """The planned stage that writes file or may write it, and which of the alternatives; None where none does."""
         for stage in map(self.stages.get, self.planned):
             for name in alternatives(file):
-                if name in stage.files:
+                if name in stage.files and name not in stage.refines.values():
                     return stage, name
         return None
+
+    def refined(self, file) -> bool:
+        """Whether the second of two runs may find the file, written by the first."""
+        return bool(self.again) and not self.is_draft and file in self.refiner.refines.values()
 
     def find(self, file) -> Path | None:
         """Where the reader of file looks for it: given, or made by a planned stage; else None."""
         if given := self.scene.given(file):
             return given
+        if self.refined(file):
+            return self.build / file
         made = self.writer(file)
-        return self.build / made[1] if made else None
+        return self.folder(made[0]) / made[1] if made else None
 
     def certain(self, file) -> Path | None:
-        """What Make can wait for: `find`, or the writer's report where a planned stage need not write the file."""
+        """What Make can wait for: `find`, or the writer's report where a planned stage need not write the file.
+
+        None where there is nothing to wait for.
+        """
         made = None if self.scene.given(file) else self.writer(file)
         if made and made[1] not in made[0].outputs:
-            return self.build / made[0].report
+            return self.folder(made[0]) / made[0].report
+        if self.refined(file) and not self.scene.given(file):
+            runs = self.refiner.name in self.planned  # else what lies there is taken, or nothing
+            return self.draft.folder(self.refiner) / self.refiner.report if runs else None
         return self.find(file)
 
     def destination(self, stage, file) -> Path:
         """A given file is never overwritten: what the stage makes of it goes to a scratch folder."""
-        return self.build / "scratch" / stage.name / file if self.scene.given(file) else self.build / file
+        return self.build / "scratch" / stage.name / file if self.scene.given(file) else self.folder(stage) / file
 
 
 def walk(scene, stages, build, wishes=(None,)) -> Plan:
@@ -85,12 +114,26 @@ def walk(scene, stages, build, wishes=(None,)) -> Plan:
             problems.append(f"{scene.name}/{wish}: there is no such stage; stages are {', '.join(stages)}")
     planned = [name for name in stages if any(name in way.planned for way in walks)]
     passed_over = {name: file for way in walks for name, file in way.passed_over.items()}
-    plan = Plan(scene, stages, Path(build) / scene.name, planned, list(dict.fromkeys(goals)), passed_over)
+    again = _again(scene, stages, whole.planned)
+    plan = Plan(scene, stages, Path(build) / scene.name, planned, list(dict.fromkeys(goals)), passed_over, again)
     problems += [problem for way in walks for problem in way.problems]
     problems += [*_missing_facts(plan), *_missing_of_the_system(plan)]
     if problems:
         raise BadInput(*dict.fromkeys(problems))
     return plan
+
+
+def _again(scene, stages, planned) -> tuple[str, ...]:
+    """The stages that run again where one of them refines camera or model, that one last; () where none may."""
+    refiner = next((stages[name] for name in stages if name in planned and stages[name].refines), None)
+    if refiner is None or scene.explain is not None and not set(scene.explain) & set(GEOMETRIC):
+        return ()
+    before = list(stages)[: list(stages).index(refiner.name)]
+    reads = lambda stage: set(stage.may_read.values()) & set(refiner.refines.values())
+    again = (*(name for name in before if name in planned and reads(stages[name])), refiner.name)
+    if any(scene.given(file) for name in again for file in stages[name].files):
+        return ()  # what is given stays, and would not be that of another camera
+    return again
 
 
 class _Walk:
@@ -142,7 +185,9 @@ class _Walk:
 
     def optional_makers(self, file, reader):
         """The stages that make what reader may read, if they are worth it."""
-        if file == REPORTS:
+        if any(file in stage.refines.values() for stage in self.stages.values()):
+            makers = []  # it comes of itself, with the first of two runs
+        elif file == REPORTS:
             makers = list(self.stages)[: list(self.stages).index(reader.name)]
         else:
             maker = None if self.scene.given(file) else self.maker(file)
@@ -213,5 +258,10 @@ def explain(plan) -> str:
         lines.append(
             f"  without mirror buffers, lobes and textures: {' and '.join(makers)} {make} them only where a group's "
             "error, or `surfaces`, demands it; never for groups named diffuse"
+        )
+    if plan.again:
+        lines.append(
+            f"  without a second run of {', '.join(plan.again)}: only where the photograph puts the camera, an object"
+            " or a lamp elsewhere"
         )
     return "\n".join(lines)

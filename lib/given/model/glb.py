@@ -46,14 +46,16 @@ def read_glb(path, content) -> Polygons:
             chunks.setdefault(kind, content[at + 8 : at + 8 + length])
             at += 8 + length
         reader = _Reader(path, json.loads(chunks[b"JSON"]), chunks.get(b"BIN\0", b""))
-        return _polygons(path, list(reader.meshes()))
+        return _polygons(path, list(reader.meshes()), reader.gltf.get("extras") or {})
     except (KeyError, IndexError, TypeError, ValueError, struct.error) as error:
         raise BadInput(f"{path}: not a readable GLB: {type(error).__name__}: {error}") from None
 
 
-def _polygons(path, meshes):
-    """All meshes in one list of triangles."""
-    objects, groups, count = {}, {}, 0
+def _polygons(path, meshes, order):
+    """All meshes in one list of triangles. order : {"objects", "groups"}: names in their order, where a file tells"""
+    known = lambda key: {str(name): k for k, name in enumerate(order.get(key, ()))}
+    objects, groups = known("objects"), known("groups")
+    count = 0
     vertices, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), int)]
     owner, group = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
     for mesh in meshes:

@@ -1,0 +1,55 @@
+"""The lamps' light wherever lamps and objects are put, without gathering anything anew.
+
+It reaches patches and tiles by D and D_tile alone; how light goes on between the patches stays as it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.analysis.gather import Gathered, Sampling
+from lib.given.cameras import matrix_from_rt
+from lib.given.view import View
+from lib.light import lamps as lamps_
+from lib.light import surface as surfaces
+from lib.light.factors_file import FormFactors
+from lib.vision.registration.motions import corrected_model
+
+POINTS = 32  # of a patch
+DRAWN = Sampling()
+
+
+@dataclass(frozen=True, eq=False)
+class DirectLight:
+    """What the lamps of a scene send to its patches and tiles."""
+
+    view: View
+    factors: FormFactors
+    found: Gathered
+
+    def moved(self, thing, twist):
+        """The model with an object, by its number, turned and moved: (6,) Rodrigues vector and m, world."""
+        return corrected_model(self.view.model, {thing: matrix_from_rt(twist)})
+
+    def of(self, model):
+        """D (N, L), D_tile (T, L) of a model with the same parts; drawn as stages/formfactors.py and gather.py do."""
+        surface = surfaces.surface(model, self.factors.lamps)
+        emitters, tiles, n = lamps_.emitters(surface, self.factors.lamps), self.found.tiles, len(self.factors.lamps)
+        D = lamps_.patch_direct(surface, self.factors.mesh, emitters, n, n_points=POINTS)
+        facet = np.repeat(tiles.facet, np.diff(tiles.start))
+        p, side = surfaces.backproject(surface, self.view.camera, facet, tiles.pixel)
+        how = {"n_samples": DRAWN.lamp_samples, "start": tiles.start, "seed": DRAWN.seed - 5}
+        return D, lamps_.direct(surface, emitters, p, surfaces.side_normals(surface), side, n, **how)
+
+    def spread(self, thing, covariance):
+        """[(dD, dD_tile)] of moves of an object by one standard deviation, which are independent of each other.
+
+        covariance : (6, 6) of its turn and move, world
+        """
+        D, D_tile = self.of(self.view.model)
+        value, vector = np.linalg.eigh(covariance)
+        some = value > 1e-6 * value.max(initial=0.0)
+        moves = [self.of(self.moved(thing, np.sqrt(value[k]) * vector[:, k])) for k in np.flatnonzero(some)]
+        return [(there - D, tiles - D_tile) for there, tiles in moves]

@@ -1,0 +1,150 @@
+"""Camera, objects and lamps that stand elsewhere than given: what is made again, and what comes of it."""
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lib.given import cameras
+from lib.given import model as models
+from lib.given.cameras import matrix_from_rt
+from lib.given.model.glb_writer import same_parts, write_glb
+from lib.planning import makefile, scene
+from lib.planning.pipeline import read_pipeline
+from lib.planning.walk import walk
+
+ROOT = Path(__file__).resolve().parents[1]
+MODELS = sorted(path for path in (ROOT / "data").glob("*/model.*") if path.suffix != ".mtl")
+
+
+# ---- a model as a file ----
+
+
+@pytest.mark.parametrize("path", MODELS, ids=lambda path: path.parent.name)
+def test_a_written_model_keeps_its_parts(path, tmp_path):
+    model = models.load(path)
+    write_glb(tmp_path / "model.glb", model)
+    again = models.load(tmp_path / "model.glb")
+    assert same_parts(again, model) and again.warnings == ()
+    assert np.abs(again.corners() - model.corners()).max() < 1e-6 * np.ptp(model.vertices)
+
+
+def test_names_keep_their_order_where_facets_would_give_another(tmp_path):
+    """The groups of the file are b, a; its first facet is of a."""
+    (tmp_path / "model.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\n"
+        "o late\no early\nusemtl b\nusemtl a\nf 1 2 3\no late\nusemtl b\nf 5 6 7\n"
+    )
+    model = models.load(tmp_path / "model.obj")
+    write_glb(tmp_path / "model.glb", model)
+    again = models.load(tmp_path / "model.glb")
+    assert (again.groups, again.objects) == (model.groups, model.objects)
+    assert same_parts(again, model)
+
+
+# ---- the plan ----
+
+
+def clean():
+    """The environment of a make that no other make has called."""
+    return {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k not in ("MFLAGS", "BUILD", "DATA")}
+
+
+@pytest.fixture
+def office(tmp_path):
+    shutil.copytree(ROOT / "data/office", tmp_path / "data/office", ignore=shutil.ignore_patterns("truth"))
+    return tmp_path
+
+
+def planned(folder, *wishes):
+    stages = read_pipeline(ROOT / "pipeline.yaml")
+    return walk(scene.read(folder / "data/office", stages), stages, folder / "build", wishes or (None,))
+
+
+def test_what_the_camera_and_the_model_decide_runs_again(office):
+    plan = planned(office)
+    assert plan.again == ("index", "formfactors", "gather", "fit")
+    text, commands = makefile.makefile(plan, "python", ROOT)
+    names = {path.name for path in commands}
+    assert {"draft.index", "index", "draft.fit", "fit"} <= names and "draft.render" not in names
+    words = {path.name: content for path, content in commands.items()}
+    assert "--camera-out" in words["draft.fit"] and "--refined-camera" not in words["draft.fit"]
+    assert "--camera-out" not in words["fit"] and "--refined-camera" in words["fit"]
+    assert "--refined-camera" in words["render"]
+
+
+@pytest.mark.parametrize("causes", ["[]", "[curve, vignetting]"])
+def test_without_leave_nothing_runs_again(office, causes):
+    with open(office / "data/office/scene.yaml", "a") as file:
+        file.write(f"\nexplain: {causes}\n")
+    assert planned(office).again == ()
+
+
+def test_what_is_given_is_not_made_again(office):
+    (office / "data/office/facet.png").touch()
+    assert planned(office).again == ()
+
+
+def test_a_first_stage_alone_is_taken_over_later(office):
+    """index before all else does not run twice."""
+    plan = planned(office, "index")
+    text, _ = makefile.makefile(plan, "python", ROOT)
+    assert "draft/group.png" in text and "fit.report.json" not in text
+    words = ["make", f"DATA={office}/data", f"BUILD={office}/build"]
+    for wish in ("office/index", "office/gather"):
+        run = subprocess.run([*words, wish], cwd=ROOT, env=clean(), capture_output=True, text=True)
+        assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
+    assert "stages/gather.py" in run.stdout and "stages/index.py" not in run.stdout
+
+
+# ---- whole runs ----
+
+
+def deviated(tmp_path, change, name="flat-grey"):
+    folder = tmp_path / "data" / name
+    shutil.copytree(ROOT / "data" / name, folder)
+    change(folder)
+    words = ["make", f"DATA={tmp_path}/data", f"BUILD={tmp_path}/build", name]
+    run = subprocess.run(words, cwd=ROOT, env=clean(), capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
+    build = tmp_path / "build" / name
+    found = json.loads((build / "materials.json").read_text())
+    truth = json.loads((folder / "truth/materials.json").read_text())
+    off = [
+        abs(a - b) / s
+        for group, true in truth["groups"].items()
+        if (mine := found["groups"].get(group)) and mine["identified"] and mine["pixels"] > 1000
+        for a, b, s in zip(mine["rho_d"], true["rho_d"], mine["sigma"]["rho_d"], strict=True)
+    ]
+    return build, found, max(off)
+
+
+@pytest.mark.scene
+def test_a_camera_that_is_off_is_put_right(tmp_path):
+    def turn(folder):
+        path = folder / "left.posed.cameramodel"
+        camera = cameras.read_cameramodel(path)
+        off = matrix_from_rt([0.004, -0.003, 0.001, 0.02, -0.01, 0.01])
+        cameras.write_cameramodel(path, cameras.Camera(camera.K, camera.width, camera.height, off @ camera.T_cam_world))
+
+    build, found, off = deviated(tmp_path, turn)
+    assert found["status"] == "converged" and [c["cause"] for c in found["explained"]] == ["pose"]
+    assert off < 6
+    given = cameras.read_cameramodel(ROOT / "data/flat-grey/left.posed.cameramodel")
+    refined = cameras.read_cameramodel(build / "refined.cameramodel")
+    turn = refined.T_cam_world @ np.linalg.inv(given.T_cam_world)
+    assert np.linalg.norm(cv2.Rodrigues(turn[:3, :3])[0]) < 1e-3
+    assert (build / "draft/group.png").read_bytes() != (build / "group.png").read_bytes()
+
+
+@pytest.mark.scene
+def test_an_exact_scene_runs_once(tmp_path):
+    build, found, _ = deviated(tmp_path, lambda folder: None)
+    assert found["explained"] == [] and not list(build.glob("refined.*"))
+    assert (build / "draft/gather.npz").read_bytes() == (build / "gather.npz").read_bytes()
+    assert not [p for p in (build / "draft").iterdir() if p.name.startswith(".")]
