@@ -47,6 +47,10 @@ HEAVY = {
 # Other imports inside functions that stay, and why.
 LATE = {
     ("lib.core.artefact", "numpy"): "planning writes JSON and does without NumPy, 0.1 s of every `make`",
+    ("lib.analysis.inversion", "lib.analysis.ascent"): "0.1 s of every fit; few scenes climb",
+    ("lib.analysis.inversion", "lib.analysis.places"): "0.05 s: only where the light leaves a doubt",
+    ("lib.analysis.inversion", "lib.analysis.refine"): "0.06 s: the same",
+    ("lib.analysis.inversion", "lib.analysis.strangers"): "with them",
     ("lib.planning.doctor", "numpy"): "the doctor must run where nothing is installed",
     ("lib.planning.files", "lib.given.lenses"): "NumPy again: only for a pair of given cameras",
     ("lib.planning.folder", "lib.given.image"): "NumPy again: given files are opened only when they are new",

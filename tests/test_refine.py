@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
+from lib.analysis import places
 from lib.given import cameras
 from lib.given import model as models
 from lib.given.cameras import matrix_from_rt
 from lib.given.model.glb_writer import same_parts, write_glb
+from lib.given.view import View
 from lib.planning import makefile, scene
 from lib.planning.pipeline import read_pipeline
 from lib.planning.walk import walk
@@ -118,10 +120,10 @@ def deviated(tmp_path, change, name="flat-grey"):
     off = [
         abs(a - b) / s
         for group, true in truth["groups"].items()
-        if (mine := found["groups"].get(group)) and mine["identified"] and mine["pixels"] > 1000
+        if (mine := found["groups"].get(group)) and mine["identified"] and mine["pixels"] > 1000 and true["rho_d"]
         for a, b, s in zip(mine["rho_d"], true["rho_d"], mine["sigma"]["rho_d"], strict=True)
     ]
-    return build, found, max(off)
+    return build, found, max(off, default=0)
 
 
 @pytest.mark.scene
@@ -148,3 +150,53 @@ def test_an_exact_scene_runs_once(tmp_path):
     assert found["explained"] == [] and not list(build.glob("refined.*"))
     assert (build / "draft/gather.npz").read_bytes() == (build / "gather.npz").read_bytes()
     assert not [p for p in (build / "draft").iterdir() if p.name.startswith(".")]
+
+
+# ---- what is said where nothing can be put right ----
+
+
+def obj(folder, change):
+    """model.obj with each line, and the object that it belongs to, changed; None drops it."""
+    path, thing, lines = folder / "model.obj", "", []
+    for line in path.read_text().splitlines():
+        thing = line.removeprefix("o ") if line.startswith("o ") else thing
+        lines.append(change(line, thing))
+    path.write_text("\n".join(line for line in lines if line is not None) + "\n")
+
+
+def vertices(folder, change):
+    obj(folder, lambda line, _: f"v {change(*line.split()[1:])}" if line.startswith("v ") else line)
+
+
+def rolled(folder):
+    path = folder / "left.posed.cameramodel"
+    camera = cameras.read_cameramodel(path)
+    T = matrix_from_rt([0, 0, np.pi / 2, 0, 0, 0]) @ camera.T_cam_world
+    cameras.write_cameramodel(path, cameras.Camera(camera.K, camera.width, camera.height, T))
+
+
+MISTAKES = {
+    "units": lambda folder: vertices(folder, lambda *p: " ".join(str(1000 * float(v)) for v in p)),
+    "up_axis": lambda folder: vertices(folder, lambda x, y, z: f"{x} {z} {-float(y)}"),
+    "camera": rolled,
+}
+
+
+@pytest.mark.parametrize("cause", [*MISTAKES, None])
+def test_a_mistaken_unit_axis_or_camera_is_named(office, cause):
+    folder = office / "data/office"
+    MISTAKES.get(cause, lambda folder: None)(folder)
+    names = {"camera": "left.posed.cameramodel", "model": "model.obj", "photograph": "left.png"}
+    found = places.by_edges(View.read(**{name: folder / file for name, file in names.items()}), ["lamp"])
+    assert [w.cause for w in found.why] == ([cause] if cause else []) and found.is_lost == (cause is not None)
+
+
+@pytest.mark.scene
+@pytest.mark.parametrize("cause", ["object_missing", "group_wrong"])
+def test_what_the_model_has_not_is_named(tmp_path, cause):
+    without = lambda line, thing: None if thing == "carton" and line[0] in "of" else line
+    other = lambda line, thing: "usemtl door" if thing == "carton" and line.startswith("usemtl") else line
+
+    _, found, _ = deviated(tmp_path, lambda f: obj(f, without if cause == "object_missing" else other), "office")
+    assert found["status"] == "does not fit" and cause in [why["cause"] for why in found["why"]]
+    assert not any(group["identified"] for group in found["groups"].values())

@@ -33,15 +33,21 @@ class DirectLight:
         """The model with an object, by its number, turned and moved: (6,) Rodrigues vector and m, world."""
         return corrected_model(self.view.model, {thing: matrix_from_rt(twist)})
 
-    def of(self, model):
-        """D (N, L), D_tile (T, L) of a model with the same parts; drawn as stages/formfactors.py and gather.py do."""
-        surface = surfaces.surface(model, self.factors.lamps)
-        emitters, tiles, n = lamps_.emitters(surface, self.factors.lamps), self.found.tiles, len(self.factors.lamps)
-        D = lamps_.patch_direct(surface, self.factors.mesh, emitters, n, n_points=POINTS)
+    def of(self, model, lamp=None):
+        """D (N, L), D_tile (T, L) of a model with the same parts; drawn as stages/formfactors.py and gather.py do.
+
+        lamp : the only one whose light is another, or None
+        """
+        surface, names = surfaces.surface(model, self.factors.lamps), self.factors.lamps
+        emitters, tiles = lamps_.emitters(surface, names), self.found.tiles
+        mine = np.array([lamp in (None, name) for name in names])
+        emitters = [emitter for emitter in emitters if mine[emitter.lamp]]
+        D = lamps_.patch_direct(surface, self.factors.mesh, emitters, len(names), n_points=POINTS)
         facet = np.repeat(tiles.facet, np.diff(tiles.start))
         p, side = surfaces.backproject(surface, self.view.camera, facet, tiles.pixel)
         how = {"n_samples": DRAWN.lamp_samples, "start": tiles.start, "seed": DRAWN.seed - 5}
-        return D, lamps_.direct(surface, emitters, p, surfaces.side_normals(surface), side, n, **how)
+        D_tile = lamps_.direct(surface, emitters, p, surfaces.side_normals(surface), side, len(names), **how)
+        return np.where(mine, D, self.factors.lamp_factor), np.where(mine, D_tile, tiles.direct)
 
     def spread(self, thing, covariance):
         """[(dD, dD_tile)] of moves of an object by one standard deviation, which are independent of each other.

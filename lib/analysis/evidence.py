@@ -74,7 +74,7 @@ def likelihood(residual, variance) -> Evidence:
 
 def noise_variance(problem: Problem, at: Equations) -> np.ndarray:
     """(T, 1) display: of the pixels, and of the tiles' own rays as their two halves tell it on the whole."""
-    variance = problem.noise_variance(problem.n_pixels)
+    variance = problem.tile_noise
     if problem.halves is None or not len(variance):
         return variance
     shown = at.slope * 0.5 * at.shown_share * ((problem.halves.G0 - problem.halves.G1) @ at.state.b)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from lib.buffers.edges import boundary
+from lib.buffers.trust import in_blocks
 from lib.core import artefact
 from lib.given.view import View
 from lib.light import form_factors, lamps
@@ -145,7 +146,7 @@ class Gathered:
 
     pixels : (M, C) display values (linear: EXR), in the order of tiles.pixel;  group, object : (T,) int32
     visible : (G,) pixels that show each group, used or not;  linear : the photograph is linear (EXR)
-    block_noise : see Photograph
+    block_noise : of a JPEG, see Blocks;  edge_noise : (T,) the same of a pixel, where an edge runs through its block
     """
 
     tiles: Tiles
@@ -155,7 +156,8 @@ class Gathered:
     visible: np.ndarray
     linear: bool
     channels_in_file: int
-    block_noise: float = 0.0
+    block_noise: float
+    edge_noise: np.ndarray
 
 
 def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling: Sampling) -> Gathered:
@@ -181,8 +183,18 @@ def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling:
         np.bincount(surface.group[view.facet[shown]], minlength=len(factors.groups)),
         view.photograph.linear,
         view.photograph.channels_in_file,
-        view.photograph.block_noise,
+        view.photograph.blocks.noise if view.photograph.blocks else 0.0,
+        _edge_noise(view, tiles),
     )
+
+
+def _edge_noise(view, tiles):
+    """(T,) display: what rounding adds to the pixels of each tile, as far as edges run through their blocks."""
+    blocks = view.photograph.blocks
+    if not blocks or not len(tiles):
+        return np.zeros(len(tiles))
+    held = in_blocks(boundary(view.facet), blocks.px).reshape(-1)[tiles.pixel]
+    return blocks.edge_noise * np.sqrt(np.add.reduceat(held.astype(float), tiles.start[:-1]) / np.diff(tiles.start))
 
 
 OF_ROWS = [f.name for f in fields(FormFactorRows)]

@@ -52,7 +52,7 @@ class Lamps:
 
     def problem(self, problem: Problem, lamp, offset) -> Problem:
         """The same with the light of a lamp that stands (3,) m away."""
-        D, D_tile = self.light.of(self.moved(lamp, offset))
+        D, D_tile = self.light.of(self.moved(lamp, offset), lamp)
         return replace(problem, D=D, D_tile=D_tile)
 
     def cause(self, problem: Problem, at: Equations, lamp, offset, prior_m) -> CauseTerms:

@@ -69,6 +69,11 @@ def audit(
     return ({g: m for g, m in part.items() if m is not None} for part in (found, patterns))
 
 
+def shown(subcell, problem: Problem, result: Result, tiles: Receivers):
+    """(T, C) linear: the tiles as the diffuse surfaces of a fit show them."""
+    return _Shown(subcell, problem, result, tiles, None).B
+
+
 class _Shown:
     """The tiles as diffuse surfaces of the fit show them: B, seen (T, C) linear, spread (T, C) display."""
 

@@ -10,6 +10,7 @@ from lib.buffers.opengl import NoGraphics
 from lib.given.cameras import matrix_from_rt
 from lib.given.materials import Cause, Rival, Why
 from lib.given.view import View
+from lib.vision.registration.mistakes import mistake
 from lib.vision.registration.register import Registration, register
 
 TWIST = "twist_covariance"  # (6, 6) of an object's turn and move, world, beside the sigma of what it found
@@ -27,6 +28,11 @@ class Places:
     causes: list
     why: list
 
+    @property
+    def is_lost(self) -> bool:
+        """The photograph hardly shows the model: nothing can be learnt from it."""
+        return self.registration is not None and self.registration.seen.is_lost
+
     def allowed(self, causes) -> bool:
         """All of it may be taken. causes : that may be, as scene.yaml has them"""
         leave = {"principal_point": "pose"}
@@ -39,9 +45,23 @@ def by_edges(view: View, lamps) -> Places:
         found = register(view.model, view.camera, view.photograph)
     except (ImportError, NoGraphics):
         return Places(None, [], [])
+    if found.seen.is_lost:
+        return Places(found, [], [_lost(view, found)])
     pairs = [*_camera(found), *(_thing(found, view.model, name, lamps) for name in found.objects)]
     pairs.sort(key=lambda pair: -(pair[0].evidence_nats or 0))
     return Places(found, *([pair[k] for pair in pairs] for k in (0, 1)))
+
+
+def _lost(view, found):
+    """Why where the photograph hardly shows the model's edges."""
+    slip = mistake(view.model, view.camera, view.photograph, found.seen)
+    if slip is not None:
+        return Why(slip.cause, None, slip.text, None)
+    text = (
+        f"the photograph has {found.seen.found:.0%} of the model's edges, hardly more than by chance"
+        f" ({found.seen.chance:.0%}): the camera, the model's unit or its axes are not as given"
+    )
+    return Why("camera", None, text, None)
 
 
 def _camera(found):

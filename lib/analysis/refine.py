@@ -12,15 +12,16 @@ import numpy as np
 
 from lib.analysis import lamp_place
 from lib.analysis.agreement import fits
+from lib.analysis.audit import Audit
 from lib.analysis.candidates import enough
 from lib.analysis.direct_light import DirectLight
-from lib.analysis.explain import SURE_PER_TILE, Explained
+from lib.analysis.explain import Explained
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import fit
 from lib.analysis.places import TWIST, Places, object_of
 from lib.given import cameras
 from lib.given.cameras import Camera
-from lib.given.materials import Cause, Causes, Rival, write_causes
+from lib.given.materials import Cause, Causes, Rival, Why, write_causes
 from lib.given.model.glb_writer import keeps_parts, write_glb
 from lib.given.model.mesh import Model
 from lib.given.view import View
@@ -31,22 +32,25 @@ LAMP_PLACE_M = 0.1  # standard deviation of a lamp's place
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """camera, model : None where they are as given;  causes : [Cause] that moved them"""
+    """camera, model : None where they are as given;  causes : [Cause] that moved them;  why : [Why], the same, said"""
 
     camera: Camera | None
     model: Model | None
     causes: list
+    why: list
+
+    @property
+    def keeps_parts(self) -> bool:
+        """The model's facets, groups and objects keep their numbers in a file."""
+        return self.model is None or keeps_parts(self.model)
 
     def write(self, camera, model, causes):
-        """The files, causes last. Nothing where the model's parts would not keep their numbers: whether it was done"""
-        if self.model is not None and not keeps_parts(self.model):
-            return False
+        """The files, causes last."""
         if self.camera is not None:
             cameras.write_cameramodel(camera, self.camera)
         if self.model is not None:
             write_glb(model, self.model)
         write_causes(causes, Causes(self.causes))
-        return True
 
 
 def by_edges(view: View, places: Places) -> Refinement:
@@ -57,20 +61,20 @@ def by_edges(view: View, places: Places) -> Refinement:
         found.camera(view.camera) if moved else None,
         found.model(view.model) if found.objects else None,
         places.causes,
+        places.why,
     )
 
 
-def by_light(view: View, factors: FormFactors, found: Gathered, explained: Explained, sure=True) -> Refinement | None:
-    """The lamp that its light puts elsewhere; None where the picture does not come to fit by that.
+def by_light(view: View, factors: FormFactors, found: Gathered, explained: Explained, audit: Audit):
+    """Refinement by the lamp that its light puts elsewhere; None where not all comes to fit by that.
 
-    sure : False: other things may be wrong with single groups, and the lamp must explain more than they could
+    What a mirror or a lobe throws may look like a lamp that was moved. But then their own pixels still do not fit.
     """
     given = explained.given
     if given is None or given.problem.specular is not None:
         return None
     lamps = lamp_place.Lamps.of(DirectLight(view, factors, found))
-    least = enough(given.problem) + (0 if sure else SURE_PER_TILE * len(given.problem.tile_group))
-    least = max(least, sum(taken.nats for taken in explained.taken))
+    least = max(enough(given.problem), sum(taken.nats for taken in explained.taken))
     promises = {lamp: lamp_place.promise(given, lamps, lamp, LAMP_PLACE_M) for lamp in lamps.things}
     lamp = max(promises, key=promises.get, default=None)
     if lamp is None or promises[lamp] < enough(given.problem):
@@ -80,16 +84,22 @@ def by_light(view: View, factors: FormFactors, found: Gathered, explained: Expla
     if nats < least:
         return None
     result, _ = fit(best.problem, start=best.start)
+    axes, offset = lamps.things[lamp][1], best.taken["lamp_place"][lamp]
     if not fits(result):
         return None
-    axes, offset = lamps.things[lamp][1], best.taken["lamp_place"][lamp]
+    audited = DirectLight(view, factors, audit.gathered).of(lamps.moved(lamp, offset), lamp)[1]
+    if audit.flagged(best.problem, audit.misfits(best.problem, result, audited)):
+        return None
     covariance = axes.T @ result.cov_cause @ axes
     twist = np.zeros((6, 6))
     twist[3:, 3:] = covariance
     sigma = {"offset_m": np.sqrt(np.diag(covariance)).tolist(), TWIST: twist.tolist()}
     rivals = [Rival(taken.cause, float(taken.nats)) for taken in explained.taken]
     cause = Cause("lamp_place", lamp, {"offset_m": offset.tolist()}, sigma, float(nats), rivals)
-    return Refinement(None, lamps.moved(lamp, offset), [cause])
+    far = 1000 * np.linalg.norm(offset)
+    text = f"lamp {lamp!r} stands {far:.0f} mm from where the model has it, says its light by {nats:.0f} nats"
+    why = Why("lamp_place", lamp, text, float(nats))
+    return Refinement(None, lamps.moved(lamp, offset), [cause], [why])
 
 
 def unsure(view: View, factors: FormFactors, found: Gathered, causes) -> list:

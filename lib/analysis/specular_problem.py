@@ -65,6 +65,8 @@ def assemble(
         halves=Halves(seen(0), seen(1), base.halves.F0, base.halves.F1) if base.halves else None,
         specular=terms,
         variance=unknown.variance[t.group][:, None],
+        edge_noise=None,
+        unsure=(),
     )
 
 

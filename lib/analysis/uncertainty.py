@@ -17,6 +17,7 @@ from lib.analysis.transport import TileLight
 from lib.light.balance import reflected
 
 SQUARED_MEDIAN = 0.455  # of a normal variable's square: median(x^2) / 0.455 is a robust variance
+BLED = 0.1  # of JPEG's rounding beside edges that a whole group has in common: its neighbours' colours
 LEAST = 0.02  # smaller values are as unsure as this one, relative to it
 
 
@@ -56,7 +57,7 @@ class _Normal:
         self.J = at.jacobian
         self.weight = weights(problem, at.residual).reshape(-1)
         self.prior = at.prior()[1]
-        self.pixel = np.repeat(problem.noise_variance(problem.n_pixels), problem.channels)
+        self.pixel = np.repeat(problem.tile_noise, problem.channels)
         H = self.J.T @ (self.weight[:, None] * self.J) + self.prior
         self.inverse, self.loose = _inverse(H, self.theta)
 
@@ -93,7 +94,7 @@ def _tile_errors(problem, at, result):
     if problem.halves:
         sampling = at.slope * 0.5 * rho_tile * ((problem.halves.G0 - problem.halves.G1) @ state.b)
         found.append(sampling)
-        noise = problem.noise_variance(problem.n_pixels)
+        noise = problem.tile_noise
         expected = float(np.sqrt(np.median(sampling**2 / SQUARED_MEDIAN + noise)))
         typical = float(np.sqrt(np.median(at.residual**2) / SQUARED_MEDIAN))
         result.misfit = typical / max(expected, 1e-3)
@@ -117,6 +118,10 @@ def _common_errors(problem, at, normal):
     found = {"discretisation": 0.5 * normal.push(rho_tile * ((problem.G - problem.G_plain) @ state.b))}
     for doubt in problem.specular.doubts if problem.specular is not None else ():
         found[doubt.cause] = normal.push(at.light.bent(doubt.W, doubt.V, state.E, state.b))
+    if problem.edge_noise is not None:
+        for g in np.unique(problem.tile_group[problem.edge_noise > 0]):
+            off = np.where(problem.tile_group == g, BLED * problem.edge_noise, 0)[:, None]
+            found[f"blocks {problem.groups[g]}"] = normal.push(off / np.maximum(at.slope, 1e-9))
     for k, (dD, dD_tile) in enumerate(problem.unsure):
         db = reflected(
             at.light.matrices.F,

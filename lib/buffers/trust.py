@@ -49,7 +49,8 @@ def trusted(
     left["not clipped"] = int((~clipped & (facet >= 0)).sum())
     edges = _canny(display, inner, edge_noise) & ~mixed
 
-    mask = _away_from_edges(facet, usable, mixed | edges, facet_group, margin_px, enough)
+    near = _margins(mixed | edges, margin_px, photograph.blocks)
+    mask = _away_from_edges(facet, usable, near, facet_group, enough)
     left["away from edges"] = int(mask.sum())
 
     mask = _flattest(mean, facet, mask, len(facet_group), keep, enough // 2)
@@ -57,20 +58,32 @@ def trusted(
     return Trust(mask, edges, left)
 
 
-def _away_from_edges(facet, usable, edges, facet_group, margin_px, enough):
-    """(H, W) bool: usable pixels with a margin to edges, as wide as asked where a group can afford it."""
+def _margins(edges, margin_px, blocks):
+    """[(H, W) bool]: what lies at edges, ever more of it; last, whole blocks of JPEG that hold one."""
     import cv2
 
-    n_facets = len(facet_group)
-    at_margin, count = [], []
-    for margin in range(margin_px + 1):
-        grown = edges.astype(np.uint8)
-        if margin:
-            grown = cv2.dilate(grown, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
-        at_margin.append(usable & (grown == 0))
-        count.append(np.bincount(facet[at_margin[-1]], minlength=n_facets))
-    margin = np.full(n_facets, margin_px)
-    for narrower in range(margin_px - 1, -1, -1):
+    near = [edges]
+    for margin in range(1, margin_px + 1):
+        near.append(cv2.dilate(edges.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0)
+    if blocks:
+        near.append(near[-1] | in_blocks(edges, blocks.px))
+    return near
+
+
+def in_blocks(edges, px):
+    """(H, W) bool: the block of px x px pixels, counted from the corner, holds an edge."""
+    rows, columns = (np.arange(0, n, px) for n in edges.shape)
+    held = np.logical_or.reduceat(np.logical_or.reduceat(edges, rows, axis=0), columns, axis=1)
+    return held.repeat(px, axis=0).repeat(px, axis=1)[: edges.shape[0], : edges.shape[1]]
+
+
+def _away_from_edges(facet, usable, near, facet_group, enough):
+    """(H, W) bool: usable pixels away from edges, by the widest margin that a group can afford. near : of `_margins`"""
+    n_facets, widest = len(facet_group), len(near) - 1
+    at_margin = [usable & ~grown for grown in near]
+    count = [np.bincount(facet[mask], minlength=n_facets) for mask in at_margin]
+    margin = np.full(n_facets, widest)
+    for narrower in range(widest - 1, -1, -1):
         group_count = np.bincount(facet_group, count[narrower + 1], int(facet_group.max()) + 1)
         poor = (margin == narrower + 1) & (count[narrower + 1] < enough) & (group_count[facet_group] < 2 * enough)
         margin[poor] = narrower

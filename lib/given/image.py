@@ -23,14 +23,14 @@ class Photograph:
     values : (H, W, C) float64, C = 1 or 3; display-referred in [0, 1], or linear light (EXR) that may exceed 1
     bits : 8, 16, or 0 for EXR          linear : True for EXR
     channels_in_file : 1 or 3.  Three equal channels become C = 1; alpha is dropped
-    block_noise : standard deviation (display) of what JPEG's rounding adds to all pixels of a block; else 0
+    blocks : of a JPEG, else None
     """
 
     values: np.ndarray
     bits: int
     linear: bool
     channels_in_file: int
-    block_noise: float = 0.0
+    blocks: jpeg.Blocks | None = None
 
     @property
     def display(self) -> np.ndarray:
@@ -53,8 +53,8 @@ def read_photograph(path) -> Photograph:
     in_file = values.shape[2]
     if in_file == 3 and (values[..., :1] == values).all():
         values = values[..., :1]
-    block_noise = jpeg.block_noise(Path(path).read_bytes()) if path.lower().endswith((".jpg", ".jpeg")) else 0.0
-    return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file, block_noise)
+    data = Path(path).read_bytes() if path.lower().endswith((".jpg", ".jpeg")) else b""
+    return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file, jpeg.blocks(data))
 
 
 def _linear_values(path):

@@ -70,8 +70,10 @@ def makefile(plan, python, root=ROOT, title=None) -> tuple[str, dict[Path, str]]
     for goal in plan.goals:
         if plan.scene.given(goal):
             rules.append(_copying(plan, goal, commands))
-    for runs in (plan.draft, plan):
-        rules += [_running(runs, plan.stages[name], python, root, commands) for name in runs.planned]
+    for name in plan.planned:
+        if name in plan.again:
+            rules.append(_running(plan.draft, plan.stages[name], python, root, commands))
+        rules.append(_running(plan, plan.stages[name], python, root, commands))
     return _head(plan, title or plan.scene.name) + "\n" + "\n".join(rules), commands
 
 

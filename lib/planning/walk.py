@@ -33,7 +33,7 @@ class Plan:
     @property
     def draft(self) -> "Plan":
         """What runs on the camera and the model as given."""
-        return replace(self, is_draft=True, planned=[name for name in self.planned if name in self.again])
+        return replace(self, is_draft=True)
 
     @property
     def refiner(self) -> Stage | None:

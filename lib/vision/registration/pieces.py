@@ -108,7 +108,7 @@ def mean_by(piece, values, count=None):
     """Mean of values (N, ...) by piece."""
     n = int(piece.max()) + 1 if len(piece) else 0
     count = np.bincount(piece, minlength=n) if count is None else count
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
     order = np.argsort(piece, kind="stable")
     starts = np.searchsorted(piece[order], np.arange(n))
     total = np.add.reduceat(flat[order], starts, axis=0) if n else flat[:0]

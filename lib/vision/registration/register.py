@@ -12,6 +12,7 @@ the scatter from edge to edge (docs/design.md, Registration).
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from lib.vision.registration.selection import CENTRE, ENOUGH, POSE, Selection, S
 DRAWINGS = 5  # at most, while causes are looked for
 SETTLED_PX = 0.3  # what a sample has moved since the model was drawn
 LINE_M = 2e-3
+LOST = 0.6  # of the edges that chance has not found, the least that must be there
 COARSEST, SEARCH_PX, PLACING_PX = (
     16,
     600,
@@ -56,6 +58,7 @@ class Registration:
     alone : {cause: nats} by which single causes win against the given files before anything has moved
             causes: "pose", "principal_point", ("objects", name), ("turn", name)
     before_px, after_px : median distance of the edges from where the photograph has them
+    seen : Seen, how many of them the photograph has, as given and as corrected
     n_edges : straight lines that were found        missing : {name: share of its silhouette that is found}
     """
 
@@ -71,6 +74,7 @@ class Registration:
     after_px: float
     n_edges: int
     missing: dict
+    seen: "Seen"
     trace: list = field(default_factory=list)
     state: State = field(default_factory=State)
 
@@ -185,6 +189,7 @@ class Registrar:
             factor * after,
             n_edges,
             missing(world, sight),
+            seen(sight.pieces),
             trace,
             replace(state, centre_px=factor * state.centre_px),
         )
@@ -249,6 +254,27 @@ class Registrar:
         shift = np.einsum("ni,ni->n", s.normal[c], (there - q)[c])
         before = np.abs(np.nan_to_num(offset - shift, nan=1e3))
         return float(np.median(before)), float(np.median(np.abs(offset))), len(np.unique(s.edge[c]))
+
+
+class Seen(NamedTuple):
+    """Shares of the model's edges. found : that the photograph has;  chance : that it has 8 px beside them, too"""
+
+    found: float
+    chance: float
+
+    @property
+    def is_lost(self):
+        """The photograph hardly shows these edges: another place, another model, or other units."""
+        return self.found < self.chance + LOST * (1 - self.chance)
+
+
+def seen(pieces, near_px=2.5, beside_px=8.0) -> Seen:
+    """How many pieces of edges are where they should be."""
+    if len(pieces.edge) == 0:
+        return Seen(0.0, 0.0)
+    hit = lambda x: ((np.abs(pieces.offset - x) < near_px) & (pieces.share > 0)).any(axis=1)
+    beside = (hit(0.0 - beside_px).astype(float) + hit(beside_px)) / 2
+    return Seen(*(float(np.average(h, weights=pieces.weight)) for h in (hit(0.0), beside)))
 
 
 def missing(world, sight, near_px=2.5, beside_px=8.0):

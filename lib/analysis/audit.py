@@ -1,0 +1,48 @@
+"""All pixels that show one surface, looked at for what the trusted ones do not show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from lib.analysis import misfits
+from lib.analysis.explain import Explained
+from lib.analysis.gather import Gathered
+from lib.analysis.problem import Problem, Result
+from lib.analysis.receivers import Receivers, unplaced
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """Tiles of all pixels, and what a group may differ by.
+
+    gathered : without the lens's shadow;  subcell : of FormFactors;  given : {group number: kind}, of scene.yaml
+    """
+
+    gathered: Gathered
+    subcell: object
+    given: dict
+    threshold: float
+
+    @classmethod
+    def of(cls, gathered: Gathered, explained: Explained, factors, surfaces, threshold) -> Audit:
+        """surfaces : {group: kind}, of scene.yaml"""
+        given = {explained.problem.groups.index(name): kind for name, kind in surfaces.items()}
+        return cls(explained.evened(gathered), factors.subcell(), given, threshold)
+
+    @property
+    def tiles(self) -> Receivers:
+        return unplaced(self.gathered)
+
+    def misfits(self, problem: Problem, result: Result, direct=None) -> dict:
+        """{group: Misfit} of diffuse surfaces. direct : (T, L) of the audit's tiles, in place of their own"""
+        tiles = self.tiles if direct is None else replace(self.tiles, direct=direct)
+        found, _ = misfits.audit(self.subcell, problem, result, tiles)
+        return found
+
+    def flagged(self, problem: Problem, judged) -> list:
+        """The groups that a diffuse surface does not explain. judged : of `misfits`"""
+        return misfits.flagged(problem, judged, self.given, self.threshold)
+
+    def doubt(self, problem: Problem, result: Result, judged, places=None):
+        """Widen sigma of groups that differ all the same, and say so."""
+        misfits.doubt(problem, result, judged, self.threshold, self.given, places)

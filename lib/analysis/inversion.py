@@ -1,0 +1,229 @@
+"""From one photograph's facts and light to its materials: causes of the whole picture, then geometry, then the ladder.
+
+    answer = solve(task, report)
+
+What explains least comes first, and what is not needed is not computed. Where camera or model should have been others
+the answer says so (`refined`), and is good for nothing else: all is to be made again from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+
+from lib.analysis import agreement, explain
+from lib.analysis.agreement import in_doubt
+from lib.analysis.audit import Audit
+from lib.analysis.climbing import Climb
+from lib.analysis.explain import Explained, Leave
+from lib.analysis.gather import Gathered
+from lib.analysis.problem import Problem, Result
+from lib.analysis.uncertainty import uncertainty
+from lib.core.report import Report
+from lib.given.cameras import Camera
+from lib.given.view import View
+from lib.light.factors_file import FormFactors
+
+GEOMETRIC = ("pose", "objects", "lamp_place")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is given.
+
+    view : reads photograph, model, camera and facet.png, which only some scenes need; None where they are not there
+    audit : the light of all pixels, or None
+    lamps, surfaces, transfer, causes : as scene.yaml has them (causes: `explain`, or None);  gamma : where it starts
+    may_refine : camera and model are as given, and others may be asked for;  refined : [Cause] that were, else
+    options : of gauss_newton.gauss_newton
+    """
+
+    problem: Problem
+    found: Gathered
+    factors: FormFactors
+    camera: Camera | None
+    view: Callable[[], View] | None
+    audit: Gathered | None
+    lamps: dict
+    surfaces: dict
+    transfer: object
+    causes: list | None
+    gamma: float
+    threshold: float
+    lobe_rays: int
+    may_refine: bool
+    refined: list
+    options: dict
+
+    @property
+    def allowed(self):
+        """The geometric causes that may be taken."""
+        return set(GEOMETRIC if self.causes is None else self.causes)
+
+    @property
+    def can_look(self):
+        """Whether pixels and edges of the photograph can be looked at, and are worth it."""
+        seen = self.view is not None and len(self.problem.tile_group) > 0
+        return seen and not agreement.out_of_range(self.found)
+
+
+@dataclass
+class Answer:
+    """What was found. problem, result, scale : in the end;  refined : a Refinement, or None
+
+    ascent : of the ladder, None where all is diffuse;  why : [Why] photograph and facts do not agree
+    """
+
+    explained: Explained
+    problem: Problem
+    result: Result
+    scale: str
+    ascent: object = None
+    refined: object = None
+    why: list = field(default_factory=list)
+    warnings: list = field(default_factory=list)
+
+    @property
+    def climb(self) -> Climb | None:
+        return self.ascent.climb if self.ascent else None
+
+
+def solve(task: Task, report: Report) -> Answer:
+    """report : gets the trace, and what the ladder did"""
+    leave = Leave.of(task.camera, task.found, task.transfer, task.causes)
+    trace = lambda iteration, image_rmse, state: report.trace(
+        iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
+    )
+    edges = cache(lambda: _edges(task))
+    may_refine = task.may_refine and task.can_look and task.allowed & set(GEOMETRIC)
+    is_elsewhere = lambda: bool(may_refine) and (edges().is_lost or edges().allowed(task.allowed))
+    explained = explain.explain(task.problem, leave, is_elsewhere, gamma=task.gamma, trace=trace, **task.options)
+    audit = Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold) if task.can_look else None
+    answer = _answer(explained)
+    if audit is not None:
+        judged = audit.misfits(explained.problem, explained.result)
+        report["ladder"] = _summary(task, explained.problem, judged)
+        doubtful = in_doubt(explained.result) or edges.cache_info().currsize > 0 and is_elsewhere()
+        if may_refine and doubtful:
+            answer.refined = _refined(task, explained, audit, edges())
+        if answer.refined is not None:
+            answer.why = answer.refined.why
+            return answer
+        if not (doubtful and edges().is_lost):
+            answer = _materials(task, explained, audit, judged, report)
+    _finish(task, answer, audit, edges)
+    return answer
+
+
+def _answer(explained: Explained) -> Answer:
+    return Answer(explained, explained.problem, explained.result, explained.scale)
+
+
+def _summary(task, problem, judged):
+    excess = {problem.groups[g]: m.excess for g, m in judged.items() if m.judged}
+    return {"threshold": task.threshold, "diffuse": excess, "rays": {}, "rounds": 0}
+
+
+def _edges(task):
+    """What the photograph's edges say of camera, objects and lamps."""
+    from lib.analysis import places
+
+    return places.by_edges(task.view(), task.lamps)
+
+
+def _refined(task, explained, audit, edges):
+    """Camera and model as they should be, or None."""
+    from lib.analysis import refine
+
+    refined = None
+    if edges.allowed(task.allowed):
+        refined = refine.by_edges(task.view(), edges)
+    elif not edges.why and "lamp_place" in task.allowed:
+        refined = refine.by_light(task.view(), task.factors, task.found, explained, audit)
+    return refined if refined is not None and refined.keeps_parts else None
+
+
+def _materials(task, explained, audit, judged, report) -> Answer:
+    """What is left is the groups' own: the ladder where a diffuse surface does not explain them."""
+    if not audit.flagged(explained.problem, judged):
+        audit.doubt(explained.problem, explained.result, judged)
+        return _answer(explained)
+    if not explained.is_sure:  # a material may bring as much as the causes that were taken
+        explained = explained.without_causes(**task.options)
+        audit = Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold)
+        judged = audit.misfits(explained.problem, explained.result)
+        if not audit.flagged(explained.problem, judged):
+            audit.doubt(explained.problem, explained.result, judged)
+            return _answer(explained)
+    with report.excluded("compile"):
+        from lib.analysis import ascent
+
+        ascent.warm_up()
+    done = ascent.ascend(
+        task.view(),
+        task.factors,
+        explained,
+        task.found,
+        audit.gathered,
+        lobe_rays=task.lobe_rays,
+        given=audit.given,
+        threshold=task.threshold,
+        trace=lambda round, step, fitted: report.trace(
+            round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
+        ),
+        options=task.options,
+    )
+    climb, answer = done.climb, _answer(explained)
+    if not agreement.fits(climb.result) and not audit.given:
+        return answer  # what is wrong is not one material: nothing is made up from it
+    audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
+    report["ladder"] |= ascent.summary(done)
+    answer.warnings = ascent.warnings(done)
+    answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
+    return answer
+
+
+def _finish(task, answer: Answer, audit, edges):
+    """Sigma of what is unsure of where things stand, and why photograph and facts do not agree."""
+    problem, result, explained = answer.problem, answer.result, answer.explained
+    if task.refined and not answer.climb and task.can_look:
+        from lib.analysis import refine
+
+        moves = refine.unsure(task.view(), task.factors, task.found, task.refined)
+        answer.problem = problem = replace(problem, unsure=tuple(moves))
+        if moves and result.at is not None:
+            uncertainty(problem, result.at, result)
+    why = agreement.disagreements(problem, result, task.found, task.factors, task.transfer, explained.rivals)
+    if in_doubt(result) and task.can_look and task.causes != []:
+        if edges().is_lost:
+            answer.why = edges().why
+            return
+        why = agreement.joined(why, edges().why)
+    if audit is not None:
+        why = agreement.joined(why, _strange(task, answer, audit, bool(why)))
+    answer.why = why
+
+
+def _strange(task, answer, audit, is_wrong):
+    """What the photograph shows and the model has not, in words. is_wrong : photograph and facts disagree anyway"""
+    from lib.analysis import strangers
+
+    explained, climb = answer.explained, answer.climb
+    climbed = {} if climb is None else {g: place.rung for g, place in climb.places.items() if place.rung != "diffuse"}
+    # where the picture disagrees all the same, a texture is no explanation
+    sure = {} if is_wrong or climb and in_doubt(climb.result) else climbed
+    return [
+        *strangers.things_missing(task.view(), task.factors, explained, audit, sure),
+        *strangers.groups_wrong(explained.problem, explained.result, lambda: task.view().model.objects, climbed),
+    ]
+
+
+def write_ladder(answer: Answer, folder, specular=None, mirror=None) -> dict:
+    """Files that only some scenes have, see ascent.write_files; {group: Textured}."""
+    if answer.ascent is None:
+        return {}
+    from lib.analysis import ascent
+
+    return ascent.write_files(answer.ascent, Path(folder), specular, mirror)

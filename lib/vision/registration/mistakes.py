@@ -1,0 +1,71 @@
+"""What may have been mistaken where a photograph hardly shows the model's edges: the unit, the up axis, the direction.
+
+Each mistake that people make is undone, and the edges are looked for again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lib.given.cameras import Camera, matrix_from_rt
+from lib.vision.refinement.edges import pyramid
+from lib.vision.registration.motions import State
+from lib.vision.registration.register import COARSEST, SEARCH_PX, Registrar, Seen, seen
+
+UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048, "km": 1e3}
+CLEAR = 0.3  # so much more of the edges must be there
+QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # Y up to Z up
+ROLLS = {"a quarter to the left": 90, "a quarter to the right": -90, "upside down": 180}
+
+
+class Mistake(NamedTuple):
+    """cause : of SCENE.md's `why`: units, up_axis or camera;  seen : of the edges, without it"""
+
+    cause: str
+    text: str
+    seen: Seen
+
+
+def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
+    """The mistake without which the photograph shows most of the edges; None where no known one explains it."""
+    level = pyramid(photograph, COARSEST)[max(f for f in (1, 2, 4, 8, 16) if f == 1 or camera.width >= f * SEARCH_PX)]
+    tried = []
+    for cause, text, other, view in _undone(model, camera):
+        sight = Registrar(other, view, level).sight(State())
+        share = seen(sight.pieces) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0)
+        tried.append(Mistake(cause, f"{text}, the photograph has {share.found:.0%} of its edges, not {{}}", share))
+    best = max(tried, key=lambda m: m.seen.found - m.seen.chance)
+    if best.seen.is_lost or best.seen.found < now.found + CLEAR:
+        return None
+    return best._replace(text=best.text.format(f"{now.found:.0%}"))
+
+
+def _undone(model, camera):
+    """(cause, in words, model, camera) without each mistake."""
+    for unit, metres in UNITS.items():
+        text = f"the model is {np.ptp(model.vertices, axis=0).max():,.4g} m large: with its lengths in {unit}"
+        yield "units", text, _turned(model, metres * np.eye(3)), camera
+    for turn, axis in ((QUARTER, "Y"), (QUARTER.T, "-Y")):
+        yield "up_axis", f"the model stands on its side: with {axis} as its up axis", _turned(model, turn), camera
+    for words, degrees in ROLLS.items():
+        yield "camera", f"the camera is turned: with the picture {words}", model, _rolled(camera, [0, 0, 1], degrees)
+    for axis in (1, 2):  # of the world, up
+        up = camera.T_cam_world[:3, axis]
+        yield "camera", "the camera looks the other way: turned round", model, _rolled(camera, up, 180)
+
+
+def _rolled(camera, axis, degrees):
+    """The camera turned about an axis of its own, where it stands."""
+    T = matrix_from_rt([*np.radians(degrees) * np.asarray(axis), 0, 0, 0])
+    return Camera(camera.K, camera.width, camera.height, T @ camera.T_cam_world)
+
+
+def _turned(model, A):
+    """The model with its vertices times A (3, 3), a rotation or a scale."""
+    scale = np.cbrt(np.linalg.det(A))
+    vertices = model.vertices @ A.T
+    normal = model.facet_normal @ (A / scale).T
+    return replace(model, vertices=vertices, facet_normal=normal, facet_offset=scale * model.facet_offset)
