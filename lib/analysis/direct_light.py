@@ -6,6 +6,7 @@ It reaches patches and tiles by D and D_tile alone; how light goes on between th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -59,3 +60,36 @@ class DirectLight:
         some = value > 1e-6 * value.max(initial=0.0)
         moves = [self.of(self.moved(thing, np.sqrt(value[k]) * vector[:, k])) for k in np.flatnonzero(some)]
         return [(there - D, tiles - D_tile) for there, tiles in moves]
+
+    def own_spread(self, thing, covariance):
+        """The same for the object's own tiles alone, each as bright as its middle, and without its shadows' moves."""
+        tiles, lamp_names = self.found.tiles, self.factors.lamps
+        mine = np.flatnonzero(self.found.object == thing)
+        value, vector = np.linalg.eigh(covariance)
+        some = np.flatnonzero(value > 1e-6 * value.max(initial=0.0))
+        if not len(mine) or not len(some):
+            return []
+        surface = self.surface
+        middle = tiles.pixel[(tiles.start[:-1] + np.diff(tiles.start) // 2)[mine]]
+        p, side = surfaces.backproject(surface, self.view.camera, tiles.facet[mine], middle)
+        normals, size = surfaces.side_normals(surface), self.factors.diagonal_m
+        free = lambda q: lamps_.direct(
+            surface, self.emitters, q, normals, side, len(lamp_names), n_samples=1, shadows=False
+        )
+        here, moves = free(p), []
+        for k in some:
+            there = free(p + np.sqrt(value[k]) * vector[3:, k] / size)
+            dD_tile = np.zeros_like(tiles.direct)
+            dD_tile[mine] = tiles.direct[mine] * np.divide(there - here, here, out=np.zeros_like(here), where=here > 0)
+            moves.append((None, dD_tile))
+        return moves
+
+    @cached_property
+    def surface(self):
+        """Of the model as it is."""
+        return surfaces.surface(self.view.model, self.factors.lamps)
+
+    @cached_property
+    def emitters(self):
+        """Of the lamps as they are."""
+        return lamps_.emitters(self.surface, self.factors.lamps)

@@ -105,17 +105,15 @@ class Leave:
         return cls(transfer in (None, "auto") and "curve" in causes, causes, lens, found.tiles.pixel)
 
 
-def explain(problem: Problem, leave: Leave, is_elsewhere=lambda: False, **options) -> Explained:
+def explain(problem: Problem, leave: Leave, **options) -> Explained:
     """The fit with the causes that the photograph supports.
 
-    is_elsewhere : asked where a cause promises something: whether camera or objects stand elsewhere, which such causes
-        would only bend to
     options : of gauss_newton.gauss_newton
     """
     if not len(problem.tile_group):
         return Explained(problem, *fit(problem, **options), lens=leave.lens)
     first = Candidate.of(problem, trace=options.get("trace"), gamma=options.pop("gamma", None))
-    best, taken, functions = _climbed(first, leave, is_elsewhere)
+    best, taken, functions = _climbed(first, leave)
     result, scale = fit(best.problem, start=best.start, **options)
     result.iterations += best.result.iterations
     rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
@@ -124,12 +122,10 @@ def explain(problem: Problem, leave: Leave, is_elsewhere=lambda: False, **option
     return explained if not taken or fits(result) else explained.without_causes(**options)
 
 
-def _climbed(best: Candidate, leave: Leave, is_elsewhere):
+def _climbed(best: Candidate, leave: Leave):
     """The best candidate, [Taken] on the way to it, and the candidates with other transfer functions."""
     taken, functions, tried = [], (), set()
     while wanted := _promising(best, leave, tried):
-        if is_elsewhere():
-            break
         tried |= wanted.keys()
         candidates = {}
         if "response" in wanted:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 
 from lib.analysis import agreement, explain
@@ -92,27 +91,30 @@ class Answer:
 
 def solve(task: Task, report: Report) -> Answer:
     """report : gets the trace, and what the ladder did"""
-    leave = Leave.of(task.camera, task.found, task.transfer, task.causes)
     trace = lambda iteration, image_rmse, state: report.trace(
         iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
     )
-    edges = cache(lambda: _edges(task))
+    fitted = lambda leave: explain.explain(task.problem, leave, gamma=task.gamma, trace=trace, **task.options)
     may_refine = task.may_refine and task.can_look and task.allowed & set(GEOMETRIC)
-    is_elsewhere = lambda: bool(may_refine) and (edges().is_lost or edges().allowed(task.allowed))
-    explained = explain.explain(task.problem, leave, is_elsewhere, gamma=task.gamma, trace=trace, **task.options)
+    edges = _edges(task) if may_refine else None
+    if edges is not None and (edges.is_lost or edges.allowed(task.allowed)):
+        # whatever else the photograph might tell would only bend to this
+        answer = _answer(fitted(Leave(False, ())))
+        answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
+        if edges.is_lost or answer.refined is not None:
+            return answer
+    explained = fitted(Leave.of(task.camera, task.found, task.transfer, task.causes))
     audit = Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold) if task.can_look else None
     answer = _answer(explained)
     if audit is not None:
         judged = audit.misfits(explained.problem, explained.result)
         report["ladder"] = _summary(task, explained.problem, judged)
-        doubtful = in_doubt(explained.result) or edges.cache_info().currsize > 0 and is_elsewhere()
-        if may_refine and doubtful:
-            answer.refined = _refined(task, explained, audit, edges())
-        if answer.refined is not None:
-            answer.why = answer.refined.why
-            return answer
-        if not (doubtful and edges().is_lost):
-            answer = _materials(task, explained, audit, judged, report)
+        if may_refine and not edges.why and in_doubt(explained.result):
+            answer.refined = _by_light(task, explained, audit)
+            if answer.refined is not None:
+                answer.why = answer.refined.why
+                return answer
+        answer = _materials(task, explained, audit, judged, report)
     _finish(task, answer, audit, edges)
     return answer
 
@@ -133,15 +135,21 @@ def _edges(task):
     return places.by_edges(task.view(), task.lamps)
 
 
-def _refined(task, explained, audit, edges):
-    """Camera and model as they should be, or None."""
+def _by_edges(task, edges):
+    """Camera and model as the photograph's edges have them; None where the model could not keep its numbers."""
     from lib.analysis import refine
 
-    refined = None
-    if edges.allowed(task.allowed):
-        refined = refine.by_edges(task.view(), edges)
-    elif not edges.why and "lamp_place" in task.allowed:
-        refined = refine.by_light(task.view(), task.factors, task.found, explained, audit)
+    refined = refine.by_edges(task.view(), edges)
+    return refined if refined.keeps_parts else None
+
+
+def _by_light(task, explained, audit):
+    """The model with the lamp where its light has it, or None."""
+    from lib.analysis import refine
+
+    if "lamp_place" not in task.allowed:
+        return None
+    refined = refine.by_light(task.view(), task.factors, task.found, explained, audit)
     return refined if refined is not None and refined.keeps_parts else None
 
 
@@ -188,19 +196,19 @@ def _materials(task, explained, audit, judged, report) -> Answer:
 def _finish(task, answer: Answer, audit, edges):
     """Sigma of what is unsure of where things stand, and why photograph and facts do not agree."""
     problem, result, explained = answer.problem, answer.result, answer.explained
-    if task.refined and not answer.climb and task.can_look:
+    if task.can_look and not answer.climb and task.causes != []:
         from lib.analysis import refine
 
-        moves = refine.unsure(task.view(), task.factors, task.found, task.refined)
+        edges = edges or _edges(task)
+        loose = edges.registration.loose if edges.registration else {}
+        moves = refine.unsure(task.view(), task.factors, task.found, task.refined, loose)
         answer.problem = problem = replace(problem, unsure=tuple(moves))
         if moves and result.at is not None:
             uncertainty(problem, result.at, result)
     why = agreement.disagreements(problem, result, task.found, task.factors, task.transfer, explained.rivals)
     if in_doubt(result) and task.can_look and task.causes != []:
-        if edges().is_lost:
-            answer.why = edges().why
-            return
-        why = agreement.joined(why, edges().why)
+        edges = edges or _edges(task)
+        why = agreement.joined(why, edges.why)
     if audit is not None:
         why = agreement.joined(why, _strange(task, answer, audit, bool(why)))
     answer.why = why
@@ -213,7 +221,8 @@ def _strange(task, answer, audit, is_wrong):
     explained, climb = answer.explained, answer.climb
     climbed = {} if climb is None else {g: place.rung for g, place in climb.places.items() if place.rung != "diffuse"}
     # where the picture disagrees all the same, a texture is no explanation
-    sure = {} if is_wrong or climb and in_doubt(climb.result) else climbed
+    doubtful = is_wrong or climb and in_doubt(climb.result)
+    sure = {g: rung for g, rung in climbed.items() if not doubtful or rung != "textured"}
     return [
         *strangers.things_missing(task.view(), task.factors, explained, audit, sure),
         *strangers.groups_wrong(explained.problem, explained.result, lambda: task.view().model.objects, climbed),

@@ -102,14 +102,16 @@ def by_light(view: View, factors: FormFactors, found: Gathered, explained: Expla
     return Refinement(None, lamps.moved(lamp, offset), [cause], [why])
 
 
-def unsure(view: View, factors: FormFactors, found: Gathered, causes) -> list:
-    """[(dD, dD_tile)] by which the lamps' light is unsure, since objects and lamps were moved no better than that.
+def unsure(view: View, factors: FormFactors, found: Gathered, causes, loose) -> list:
+    """[(dD or None, dD_tile)] by which the lamps' light is unsure, since things stand no more surely than that.
 
-    view : with the refined model;  causes : [Cause], of refined.json
+    view : with the refined model;  causes : [Cause], of refined.json;  loose : {object: (6, 6)}, of Registration
     """
     light, moves = DirectLight(view, factors, found), []
-    for cause in causes:
-        covariance = (cause.sigma or {}).get(TWIST)
-        if covariance is not None:
-            moves += light.spread(object_of(view.model, cause), np.array(covariance))
+    moved = {object_of(view.model, cause): cause.sigma[TWIST] for cause in causes if TWIST in (cause.sigma or {})}
+    for thing, covariance in moved.items():
+        moves += light.spread(thing, np.array(covariance))
+    for name, covariance in loose.items():
+        if (thing := view.model.objects.index(name)) not in moved:
+            moves += light.own_spread(thing, covariance)
     return moves

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lib.analysis.agreement import fits
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import enough
 from lib.analysis.evidence import evidence, promised
@@ -39,9 +40,9 @@ def things_missing(view: View, factors: FormFactors, explained: Explained, audit
     if not picture.spots():
         return []
     picture.look_closely(factors)
-    found = []
+    found, several = [], not fits(explained.result)
     for area, mine, middle in picture.spots():
-        if picture.is_thing(mine):
+        if picture.is_thing(mine, several):
             x, y = middle
             text = (
                 f"something at pixel ({x:.0f}, {y:.0f}), {area} pixels large, is not in the model: it stands before"
@@ -98,8 +99,8 @@ class _Picture:
         off = np.abs(self.seen[some] - self.metric.value(np.maximum(self.B[tile] + lamps, 0))).max(axis=1)
         self.strange[some] = off > self.least[some]
 
-    def is_thing(self, mine):
-        """Whether such pixels (H, W) bool show a thing."""
+    def is_thing(self, mine, several):
+        """Whether such pixels (H, W) bool show a thing. several : only one that stands before several surfaces"""
         import cv2
 
         facets, count = np.unique(self.owner[mine & (self.owner >= 0)], return_counts=True)
@@ -107,7 +108,8 @@ class _Picture:
             return False
         most = facets[count.argmax()]
         on_most = self.owner == most
-        if 1 - count.max() / count.sum() < ELSEWHERE and self.of_group[on_most][0] in self.climbed:
+        alone = 1 - count.max() / count.sum() < ELSEWHERE
+        if alone and (several or self.of_group[on_most][0] in self.climbed):
             return False
         if count.max() > WHOLE * np.count_nonzero(on_most):
             return False  # most of a surface is as strange: its material, or its light

@@ -123,13 +123,11 @@ def _common_errors(problem, at, normal):
             off = np.where(problem.tile_group == g, BLED * problem.edge_noise, 0)[:, None]
             found[f"blocks {problem.groups[g]}"] = normal.push(off / np.maximum(at.slope, 1e-9))
     for k, (dD, dD_tile) in enumerate(problem.unsure):
-        db = reflected(
-            at.light.matrices.F,
-            state.rho[problem.patch_group],
-            (dD @ state.E) * state.rho[problem.patch_group],
-            tolerance=1e-3,
-        ).b
-        found[f"place {k}"] = normal.push(rho_tile * (dD_tile @ state.E + problem.G @ db))
+        dB = dD_tile @ state.E
+        if dD is not None:
+            rho = state.rho[problem.patch_group]
+            dB = dB + problem.G @ reflected(at.light.matrices.F, rho, rho * (dD @ state.E), tolerance=1e-3).b
+        found[f"place {k}"] = normal.push(rho_tile * dB)
     if problem.halves:
         b0, b1 = (
             TileLight(problem, F, problem.G, state.rho_s).solve(state.rho, state.E, state.b)[0]

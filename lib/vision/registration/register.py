@@ -18,7 +18,7 @@ import numpy as np
 
 from lib.given.cameras import Camera, rt_from_matrix
 from lib.vision.refinement.edges import model_edges, pyramid
-from lib.vision.registration.motions import State, World, corrected_camera, corrected_model
+from lib.vision.registration.motions import Block, State, World, corrected_camera, corrected_model
 from lib.vision.registration.pieces import edge_owner, lines, mean_by, pieces_of, samples_of
 from lib.vision.registration.placing import covariance, place, solve
 from lib.vision.registration.selection import CENTRE, ENOUGH, POSE, Selection, Sight
@@ -26,6 +26,10 @@ from lib.vision.registration.selection import CENTRE, ENOUGH, POSE, Selection, S
 DRAWINGS = 5  # at most, while causes are looked for
 SETTLED_PX = 0.3  # what a sample has moved since the model was drawn
 LINE_M = 2e-3
+LOOSE_M = 0.01  # how well people place the objects that they draw
+TOGETHER = (
+    2.0  # so many times worse than its lines say is the place of an object: the shadow at its foot pulls them all
+)
 LOST = 0.6  # of the edges that chance has not found, the least that must be there
 COARSEST, SEARCH_PX, PLACING_PX = (
     16,
@@ -58,6 +62,8 @@ class Registration:
     alone : {cause: nats} by which single causes win against the given files before anything has moved
             causes: "pose", "principal_point", ("objects", name), ("turn", name)
     before_px, after_px : median distance of the edges from where the photograph has them
+    loose : {name: (6, 6) covariance of the turn and move, world} of objects left where they are: what the edges do not
+        tell, if the model is good to LOOSE_M
     seen : Seen, how many of them the photograph has, as given and as corrected
     n_edges : straight lines that were found        missing : {name: share of its silhouette that is found}
     """
@@ -75,6 +81,7 @@ class Registration:
     n_edges: int
     missing: dict
     seen: "Seen"
+    loose: dict
     trace: list = field(default_factory=list)
     state: State = field(default_factory=State)
 
@@ -190,6 +197,7 @@ class Registrar:
             n_edges,
             missing(world, sight),
             seen(sight.pieces),
+            self._loose(sight, state),
             trace,
             replace(state, centre_px=factor * state.centre_px),
         )
@@ -215,6 +223,27 @@ class Registrar:
         numbers, H, ridge, w = solve(J, placed.offset, placed.weight, prior)
         spread = covariance(J, placed.offset - J @ numbers, w, H, s.edge[c], ridge, prior)
         return world.step(state, blocks, numbers), float(np.abs(J @ numbers).max(initial=0)), (spread,)
+
+    def _loose(self, sight, state):
+        """{name: (6, 6)} of every movable object that stays where it is."""
+        world, s, found = self.world, sight.samples, {}
+        placed = self._place(sight, state)
+        c = placed.chosen
+        p = world.moved(state, s.p[c], s.owner[c])
+        for thing in set(map(int, world.movable)) - state.objects.keys():
+            block, mine = Block("object", thing), np.flatnonzero(s.owner[c] == thing)
+            size = world.size(block)
+            prior, spread = np.full(size, LOOSE_M), LOOSE_M**2 * np.eye(size)
+            if len(mine) >= 3 * size:
+                of = c[mine]
+                J = np.einsum("ni,nik->nk", s.normal[of], world.jacobian(state, [block], p[mine], s.owner[of]))
+                offset = placed.offset[mine]
+                numbers, H, ridge, w = solve(J, offset, placed.weight[mine], prior)
+                spread = covariance(J, offset - J @ numbers, w, H, s.edge[of], ridge, prior)
+            spread = np.linalg.inv(np.linalg.inv(TOGETHER**2 * spread) + np.eye(size) / LOOSE_M**2)
+            way = world.twist(state, block)
+            found[world.model.objects[thing]] = way @ spread @ way.T
+        return found
 
     def _place(self, sight, state):
         """Where the photograph has the samples of a sight, from where the state has them."""
