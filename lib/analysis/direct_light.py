@@ -5,7 +5,7 @@ It reaches patches and tiles by D and D_tile alone; how light goes on between th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ from lib.light import surface as surfaces
 from lib.light.factors_file import FormFactors
 from lib.vision.registration.motions import corrected_model
 
-POINTS = 32  # of a patch
+POINTS, PIXELS = 8, 12  # of a patch, and of a tile, at which light is looked at twice
 DRAWN = Sampling()
 
 
@@ -29,26 +29,54 @@ class DirectLight:
     view: View
     factors: FormFactors
     found: Gathered
+    _given: dict = field(default_factory=dict, repr=False)
 
     def moved(self, thing, twist):
         """The model with an object, by its number, turned and moved: (6,) Rodrigues vector and m, world."""
         return corrected_model(self.view.model, {thing: matrix_from_rt(twist)})
 
     def of(self, model, lamp=None):
-        """D (N, L), D_tile (T, L) of a model with the same parts; drawn as stages/formfactors.py and gather.py do.
+        """D (N, L), D_tile (T, L) of a model with the same parts: as they were, and what it changes.
 
         lamp : the only one whose light is another, or None
         """
+        (here, tiles_here), (there, tiles_there) = self._light(self.view.model, lamp), self._light(model, lamp)
+        D = np.maximum(self.factors.lamp_factor + there - here, 0)
+        return D, np.maximum(self.found.tiles.direct + tiles_there - tiles_here, 0)
+
+    def _light(self, model, lamp):
+        """The light of one lamp, or of all, at some points of each patch and at some pixels of each tile."""
+        if model is self.view.model and lamp in self._given:
+            return self._given[lamp]
         surface, names = surfaces.surface(model, self.factors.lamps), self.factors.lamps
         emitters, tiles = lamps_.emitters(surface, names), self.found.tiles
-        mine = np.array([lamp in (None, name) for name in names])
-        emitters = [emitter for emitter in emitters if mine[emitter.lamp]]
+        emitters = [emitter for emitter in emitters if lamp in (None, names[emitter.lamp])]
         D = lamps_.patch_direct(surface, self.factors.mesh, emitters, len(names), n_points=POINTS)
-        facet = np.repeat(tiles.facet, np.diff(tiles.start))
-        p, side = surfaces.backproject(surface, self.view.camera, facet, tiles.pixel)
-        how = {"n_samples": DRAWN.lamp_samples, "start": tiles.start, "seed": DRAWN.seed - 5}
-        D_tile = lamps_.direct(surface, emitters, p, surfaces.side_normals(surface), side, len(names), **how)
-        return np.where(mine, D, self.factors.lamp_factor), np.where(mine, D_tile, tiles.direct)
+        start, pixel = self._some_pixels
+        p, side = surfaces.backproject(surface, self.view.camera, np.repeat(tiles.facet, np.diff(start)), pixel)
+        D_tile = lamps_.direct(
+            surface,
+            emitters,
+            p,
+            surfaces.side_normals(surface),
+            side,
+            len(names),
+            n_samples=DRAWN.lamp_samples,
+            start=start,
+        )
+        if model is self.view.model:
+            self._given[lamp] = D, D_tile
+        return D, D_tile
+
+    @cached_property
+    def _some_pixels(self):
+        """start (T + 1,), pixel: at most PIXELS of each tile, evenly."""
+        start = self.found.tiles.start
+        n = np.diff(start)
+        step = np.maximum(-(-n // PIXELS), 1)
+        place = np.arange(start[-1]) - np.repeat(start[:-1], n)
+        some = np.flatnonzero(place % np.repeat(step, n) == 0)
+        return np.concatenate([[0], np.cumsum(-(-n // step))]), self.found.tiles.pixel[some]
 
     def spread(self, thing, covariance):
         """[(dD, dD_tile)] of moves of an object by one standard deviation, which are independent of each other.

@@ -118,8 +118,8 @@ def explain(problem: Problem, leave: Leave, **options) -> Explained:
     result.iterations += best.result.iterations
     rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
     explained = Explained(best.problem, result, scale, rivals, taken, best.taken, first, leave.lens)
-    # where they do not suffice, what is wrong is none of these causes: they would only bend to it
-    return explained if not taken or fits(result) else explained.without_causes(**options)
+    # where they do not suffice, what is wrong may be none of these causes: they would only bend to it
+    return explained if not taken or fits(result) or explained.is_sure else explained.without_causes(**options)
 
 
 def _climbed(best: Candidate, leave: Leave):

@@ -25,6 +25,7 @@ from lib.given.cameras import Camera
 from lib.given.view import View
 from lib.light.factors_file import FormFactors
 
+EVERYWHERE = 0.75  # of the groups that differ, from which no material is looked for
 GEOMETRIC = ("pose", "objects", "lamp_place")
 
 
@@ -165,6 +166,8 @@ def _materials(task, explained, audit, judged, report) -> Answer:
         if not audit.flagged(explained.problem, judged):
             audit.doubt(explained.problem, explained.result, judged)
             return _answer(explained)
+    if _is_wrong_everywhere(explained, audit, judged):
+        return _answer(explained)
     with report.excluded("compile"):
         from lib.analysis import ascent
 
@@ -193,6 +196,13 @@ def _materials(task, explained, audit, judged, report) -> Answer:
     return answer
 
 
+def _is_wrong_everywhere(explained, audit, judged):
+    """Nearly every group differs: no material of one of them can be what is wrong."""
+    n_judged = sum(m.judged for m in judged.values())
+    flagged = audit.flagged(explained.problem, judged)
+    return not agreement.fits(explained.result) and not audit.given and len(flagged) >= EVERYWHERE * n_judged
+
+
 def _finish(task, answer: Answer, audit, edges):
     """Sigma of what is unsure of where things stand, and why photograph and facts do not agree."""
     problem, result, explained = answer.problem, answer.result, answer.explained
@@ -210,6 +220,10 @@ def _finish(task, answer: Answer, audit, edges):
         edges = edges or _edges(task)
         why = agreement.joined(why, edges.why)
     if audit is not None:
+        if not agreement.fits(result) and not answer.climb:
+            from lib.analysis import refine
+
+            why = agreement.joined(why, refine.flipped(task.view(), task.factors, task.found, explained))
         why = agreement.joined(why, _strange(task, answer, audit, bool(why)))
     answer.why = why
 

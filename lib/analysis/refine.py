@@ -6,14 +6,14 @@ files, a lamp that the photograph does not show may still throw its light from e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lib.analysis import lamp_place
 from lib.analysis.agreement import fits
 from lib.analysis.audit import Audit
-from lib.analysis.candidates import enough
+from lib.analysis.candidates import Candidate, enough
 from lib.analysis.direct_light import DirectLight
 from lib.analysis.explain import Explained
 from lib.analysis.gather import Gathered
@@ -27,6 +27,7 @@ from lib.given.model.mesh import Model
 from lib.given.view import View
 from lib.light.factors_file import FormFactors
 
+LEFT = 0.25  # of the energy of all groups that differed which may be left where a lamp is what was wrong
 LAMP_PLACE_M = 0.1  # standard deviation of a lamp's place
 
 
@@ -87,8 +88,10 @@ def by_light(view: View, factors: FormFactors, found: Gathered, explained: Expla
     axes, offset = lamps.things[lamp][1], best.taken["lamp_place"][lamp]
     if not fits(result):
         return None
-    audited = DirectLight(view, factors, audit.gathered).of(lamps.moved(lamp, offset), lamp)[1]
-    if audit.flagged(best.problem, audit.misfits(best.problem, result, audited)):
+    light = DirectLight(view, factors, audit.gathered).of(lamps.moved(lamp, offset), lamp)[1]
+    before, after = audit.misfits(given.problem, given.result), audit.misfits(best.problem, result, light)
+    left = sum(after[g].energy for g in audit.flagged(best.problem, after))
+    if left > LEFT * sum(before[g].energy for g in audit.flagged(given.problem, before)):
         return None
     covariance = axes.T @ result.cov_cause @ axes
     twist = np.zeros((6, 6))
@@ -100,6 +103,34 @@ def by_light(view: View, factors: FormFactors, found: Gathered, explained: Expla
     text = f"lamp {lamp!r} stands {far:.0f} mm from where the model has it, says its light by {nats:.0f} nats"
     why = Why("lamp_place", lamp, text, float(nats))
     return Refinement(None, lamps.moved(lamp, offset), [cause], [why])
+
+
+def flipped(view: View, factors: FormFactors, found: Gathered, explained: Explained) -> list[Why]:
+    """A line where the lamps would explain the photograph if their facets were turned to the other side."""
+    given = explained.given
+    if given is None or given.problem.specular is not None:
+        return []
+    D, D_tile = DirectLight(view, factors, found).of(turned_over(view.model, factors.lamps))
+    if not D_tile.any():
+        return []
+    other = Candidate.of(replace(given.problem, D=D, D_tile=D_tile))
+    nats = other.evidence.nats - given.evidence.nats
+    if nats < enough(given.problem) or other.typical > given.typical / 2:
+        return []
+    names = ", ".join(map(repr, factors.lamps))
+    text = f"the lamps ({names}) face the other way: turned over they fit better by {nats:.0f} nats"
+    return [Why("lamp_flipped", factors.lamps[0], text, float(nats))]
+
+
+def turned_over(model: Model, lamps) -> Model:
+    """The model with the facets of lamps seen from behind."""
+    facets = np.isin(model.facet_group, [model.groups.index(name) for name in lamps])
+    triangles = model.triangles.copy()
+    mine = facets[model.triangle_facet]
+    triangles[mine] = triangles[mine][:, ::-1]
+    way = np.where(facets, -1.0, 1.0)
+    normal, offset = model.facet_normal * way[:, None], model.facet_offset * way
+    return replace(model, triangles=triangles, facet_normal=normal, facet_offset=offset)
 
 
 def unsure(view: View, factors: FormFactors, found: Gathered, causes, loose) -> list:
