@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from lib.verdict.page import ladder, vision
 from lib.verdict.page.html import finite, fixed, number, percent, plural, pm, render
 from lib.verdict.page.parts import Parts
@@ -99,7 +101,7 @@ def _photometry(parts: Parts):
     if other := ladder.counts(parts.materials):
         said.append(f"not diffuse: {other}")
     if parts.materials:
-        said += [f"{_taken(cause)} taken into account" for cause in parts.materials.explained]
+        said += [_taken(cause) for cause in parts.materials.explained]
     if parts.transfer.kind == "gamma" and finite(parts.transfer.gamma):
         gamma = pm(parts.transfer.gamma, parts.transfer.sigma, 3)
         said.append(f"gamma {gamma}" + ("" if parts.transfer.sigma else f" ({without_sigma(parts)})"))
@@ -107,9 +109,23 @@ def _photometry(parts: Parts):
 
 
 def _taken(cause):
-    """A cause in words, with what speaks for it."""
-    name = cause.cause.replace("_", " ")
-    return f"{name} ({cause.evidence_nats:.0f} nats)" if finite(cause.evidence_nats) else name
+    """A cause in words: what was put right, how far it was off, and what speaks for it."""
+    values, name = cause.values or {}, cause.cause.replace("_", " ")
+    far = lambda key, part=slice(None): float(np.linalg.norm(np.array(values[key], float)[part]))
+    if "rt_world_object" in values:
+        turn = np.degrees(far("rt_world_object", slice(3)))
+        said = f"object {cause.subject!r}" + (f" turned by {turn:.1f} degrees" if turn > 0.05 else " moved")
+        said += "" if turn > 0.05 else f" by {1000 * far('rt_world_object', slice(3, 6)):.0f} mm"
+    elif "offset_m" in values:
+        said = f"lamp {cause.subject!r} moved by {1000 * far('offset_m'):.0f} mm"
+    elif "rt_correction" in values:
+        turn, move = np.degrees(far("rt_correction", slice(3))), 1000 * far("rt_correction", slice(3, 6))
+        said = f"camera turned by {turn:.2f} degrees and moved by {move:.0f} mm"
+    elif "offset_px" in values:
+        said = f"principal point moved by {far('offset_px'):.2f} px"
+    else:
+        said = f"{name} taken into account"
+    return f"{said} ({cause.evidence_nats:.0f} nats)" if finite(cause.evidence_nats) else said
 
 
 def _identified(parts: Parts):
