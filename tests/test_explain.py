@@ -102,3 +102,16 @@ def test_jpeg_says_how_much_it_rounds():
         measured.append(jpeg.blocks(data.tobytes()).noise / blocks.std())
     assert all(0.5 < ratio < 4 for ratio in measured), measured
     assert jpeg.blocks(b"\x89PNG") is None
+
+
+def test_no_wrong_minimum_of_gamma():
+    """Dark, normal and bright photographs of any gamma: none ends in another valley or takes a curve."""
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        gamma, light = random.uniform(1, 2.8), 1.5 * np.exp(random.uniform(np.log(0.05), np.log(1.5)))
+        problem, _, _ = made(COLOURS, gamma=gamma, noise=0.01, E=(light,), seed=seed)
+        rounded = np.round(np.clip(problem.pixels, 0, 1) * 65535) / 65535
+        problem = replace(problem, transfer=Transfer("gamma", 2.2), pixels=rounded)
+        found = explain.explain(problem, Leave(causes=("curve",)), gamma=2.2, max_iterations=40).result
+        assert found.state.transfer.kind == "gamma"
+        assert abs(found.state.gamma - gamma) < max(0.02 * gamma, 4 * found.sigma_gamma), (seed, gamma)

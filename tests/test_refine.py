@@ -152,6 +152,21 @@ def test_an_exact_scene_runs_once(tmp_path):
     assert not [p for p in (build / "draft").iterdir() if p.name.startswith(".")]
 
 
+@pytest.mark.scene
+def test_a_lamp_is_moved_to_where_its_light_has_it(tmp_path):
+    def shifted(line):
+        x, y, z = line.split()[1:]
+        return f"v {float(x) + 0.1} {y} {z}"
+
+    def elsewhere(folder):
+        obj(folder, lambda line, thing: shifted(line) if thing == "lamp" and line.startswith("v ") else line)
+
+    build, found, off = deviated(tmp_path, elsewhere, "office")
+    assert found["status"] == "converged" and [c["cause"] for c in found["explained"]] == ["lamp_place"]
+    assert np.linalg.norm(np.array(found["explained"][0]["values"]["offset_m"]) - [-0.1, 0, 0]) < 0.01
+    assert off < 6 and (build / "refined.glb").exists() and not (build / "refined.cameramodel").exists()
+
+
 # ---- what is said where nothing can be put right ----
 
 

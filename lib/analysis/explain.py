@@ -20,6 +20,7 @@ from lib.given.falloff import Lens
 from lib.given.view import View
 
 CAUSES = ("curve", "vignetting", "pose", "objects", "lamp_place")
+STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
 
@@ -112,7 +113,7 @@ def explain(problem: Problem, leave: Leave, **options) -> Explained:
     """
     if not len(problem.tile_group):
         return Explained(problem, *fit(problem, **options), lens=leave.lens)
-    first = Candidate.of(problem, trace=options.get("trace"), gamma=options.pop("gamma", None))
+    first = _begun(problem, options.pop("gamma", None), options.get("trace"))
     best, taken, functions = _climbed(first, leave)
     result, scale = fit(best.problem, start=best.start, **options)
     result.iterations += best.result.iterations
@@ -120,6 +121,19 @@ def explain(problem: Problem, leave: Leave, **options) -> Explained:
     explained = Explained(best.problem, result, scale, rivals, taken, best.taken, first, leave.lens)
     # where they do not suffice, what is wrong may be none of these causes: they would only bend to it
     return explained if not taken or fits(result) or explained.is_sure else explained.without_causes(**options)
+
+
+def _begun(problem: Problem, gamma, trace) -> Candidate:
+    """The rough fit under the given facts, from other gammas as well where it leaves something to explain.
+
+    gamma and the reflectances share a valley: dark photographs have another minimum beyond gamma 4.
+    """
+    first = Candidate.of(problem, trace=trace, gamma=gamma)
+    searched = problem.fit_transfer and problem.transfer.kind == "gamma"
+    if not searched or responses.promise(first) < enough(problem):
+        return first
+    others = [Candidate.of(problem, gamma=start) for start in STARTS]
+    return max([first, *others], key=lambda c: c.evidence.nats)
 
 
 def _climbed(best: Candidate, leave: Leave):
