@@ -157,6 +157,8 @@ def by_the_paper(opt, task, report):
         iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
     )
     problem = task.problem
+    if problem.fit_transfer and problem.transfer.kind != "gamma":
+        raise stage.BadInput(f"--method {opt.method}: transfer: the printed alternation fits gamma alone")
     result = paper.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
     answer = Answer(Explained(problem, result, scale(problem)), problem, result, scale(problem))
     answer.why = agreement.disagreements(problem, result, task.found, task.factors, opt.transfer, {})

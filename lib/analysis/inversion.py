@@ -102,7 +102,7 @@ def solve(task: Task, report: Report) -> Answer:
         # whatever else the photograph might tell would only bend to this
         answer = _answer(fitted(Leave(False, ())))
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
-        if edges.is_lost or answer.refined is not None:
+        if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
             return answer
     explained = fitted(Leave.of(task.camera, task.found, task.transfer, task.causes))
     audit = Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold) if task.can_look else None
