@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from lib.analysis import agreement, explain
 from lib.analysis.agreement import in_doubt
 from lib.analysis.audit import Audit
@@ -25,7 +27,7 @@ from lib.given.cameras import Camera
 from lib.given.view import View
 from lib.light.factors_file import FormFactors
 
-EVERYWHERE = 0.75  # of the groups that differ, from which no material is looked for
+EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
 GEOMETRIC = ("pose", "objects", "lamp_place")
 
 
@@ -200,7 +202,8 @@ def _is_wrong_everywhere(explained, audit, judged):
     """Nearly every group differs: no material of one of them can be what is wrong."""
     n_judged = sum(m.judged for m in judged.values())
     flagged = audit.flagged(explained.problem, judged)
-    return not agreement.fits(explained.result) and not audit.given and len(flagged) >= EVERYWHERE * n_judged
+    everywhere = len(flagged) >= max(SEVERAL, EVERYWHERE * n_judged)
+    return everywhere and not agreement.fits(explained.result) and not audit.given
 
 
 def _finish(task, answer: Answer, audit, edges):
@@ -214,7 +217,9 @@ def _finish(task, answer: Answer, audit, edges):
         moves = refine.unsure(task.view(), task.factors, task.found, task.refined, loose)
         answer.problem = problem = replace(problem, unsure=tuple(moves))
         if moves and result.at is not None:
+            doubted = result.sigma_rho
             uncertainty(problem, result.at, result)
+            result.sigma_rho = np.maximum(result.sigma_rho, doubted)  # of groups that differ all the same
     why = agreement.disagreements(problem, result, task.found, task.factors, task.transfer, explained.rivals)
     if in_doubt(result) and task.can_look and task.causes != []:
         edges = edges or _edges(task)
