@@ -116,7 +116,7 @@ def describe(report, factors, surface, model):
             f"the model is open: {100 * opening:.0f} % of the light of the most open patch leaves; what is not "
             "modelled behind the camera must be modelled or the light it sends back is missing"
         )
-    radius = spectral_radius(rows.matrix() @ factors.subcell())
+    radius = spectral_radius(rows.matrix() @ factors.subcell)
     report.error("balance.spectral_radius", radius, unit="1", against="the largest row sum, so that light dies away")
     report.error("rays.lost", float(rows.lost.sum() / max(rows.shot.sum(), 1)), unit="1", against="0")
     report.error("reciprocity.rms", reciprocity(factors), unit="sigma of the sampling", against="A_i F_ij = A_j F_ji")

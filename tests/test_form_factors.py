@@ -730,5 +730,5 @@ def test_the_corrected_balance_is_never_expansive(tmp_path, solids):
     factors = FormFactors(mesh, rows, np.zeros((n, 1)), ("lamp",), s.group[mesh.side // 2], s.groups, np.ones(7), 1.0)
     F = rows.matrix().astype(float)
     largest = lambda A: np.abs(eigs(A, k=1, tol=1e-6, maxiter=20000, return_eigenvectors=False)).max()
-    assert largest(F @ factors.subcell().astype(float)) <= F.sum(axis=1).max() + 1e-5
+    assert largest(F @ factors.subcell.astype(float)) <= F.sum(axis=1).max() + 1e-5
     assert 0 < factors.beside_gaps().mean() < 0.2

@@ -27,7 +27,7 @@ class Audit:
     def of(cls, gathered: Gathered, explained: Explained, factors, surfaces, threshold) -> Audit:
         """surfaces : {group: kind}, of scene.yaml"""
         given = {explained.problem.groups.index(name): kind for name, kind in surfaces.items()}
-        return cls(explained.evened(gathered), factors.subcell(), given, threshold)
+        return cls(explained.evened(gathered), factors.subcell, given, threshold)
 
     @property
     def tiles(self) -> Receivers:

@@ -16,10 +16,10 @@ from lib.analysis.equations import Unknowns
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import fit
 from lib.analysis.problem import Problem, Result
+from lib.given.causes import BUILT
 from lib.given.falloff import Lens
 from lib.given.view import View
 
-CAUSES = ("curve", "vignetting", "pose", "objects", "lamp_place")
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
@@ -93,7 +93,7 @@ class Leave:
     """
 
     response: bool = True
-    causes: tuple = CAUSES
+    causes: tuple = BUILT
     lens: Lens | None = None
     pixel: object = None
 
@@ -101,7 +101,7 @@ class Leave:
     def of(cls, camera, found: Gathered, transfer, causes) -> Leave:
         """camera : Camera or None;  transfer, causes : of scene.yaml, None: all that is left open"""
         lens = None if camera is None else Lens((camera.K[0, 2], camera.K[1, 2]), (camera.width, camera.height))
-        causes = tuple(CAUSES if causes is None else causes)
+        causes = tuple(BUILT if causes is None else causes)
         causes = () if out_of_range(found) else causes  # nothing can be learnt from such values
         return cls(transfer in (None, "auto") and "curve" in causes, causes, lens, found.tiles.pixel)
 

@@ -40,7 +40,7 @@ def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, trans
     _check_names(factors, lamps, reference)
     tiles, channels = found.tiles, found.pixels.shape[1]
     model = transfer_of(transfer, found.linear)
-    subcell = factors.subcell()
+    subcell = factors.subcell
     seen_by = lambda rows, half=None: (rows.matrix(half) @ subcell).tocsr()
     return Problem(
         F=seen_by(factors.rows),

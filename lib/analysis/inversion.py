@@ -12,8 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from lib.analysis import agreement, explain
 from lib.analysis.agreement import in_doubt
 from lib.analysis.audit import Audit
@@ -21,14 +19,13 @@ from lib.analysis.climbing import Climb
 from lib.analysis.explain import Explained, Leave
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import Problem, Result
-from lib.analysis.uncertainty import uncertainty
 from lib.core.report import Report
 from lib.given.cameras import Camera
+from lib.given.causes import GEOMETRIC
 from lib.given.view import View
 from lib.light.factors_file import FormFactors
 
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
-GEOMETRIC = ("pose", "objects", "lamp_place")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,28 +94,29 @@ def solve(task: Task, report: Report) -> Answer:
     trace = lambda iteration, image_rmse, state: report.trace(
         iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
     )
-    fitted = lambda leave: explain.explain(task.problem, leave, gamma=task.gamma, trace=trace, **task.options)
-    may_refine = task.may_refine and task.can_look and task.allowed & set(GEOMETRIC)
-    edges = _edges(task) if may_refine else None
-    if edges is not None and (edges.is_lost or edges.allowed(task.allowed)):
+    fitted = lambda problem, leave: explain.explain(problem, leave, gamma=task.gamma, trace=trace, **task.options)
+    edges = _edges(task) if task.can_look and task.causes != [] else None
+    may_refine = task.may_refine and edges is not None
+    if may_refine and (edges.is_lost or edges.allowed(task.allowed)):
         # whatever else the photograph might tell would only bend to this
-        answer = _answer(fitted(Leave(False, ())))
+        answer = _answer(fitted(task.problem, Leave(False, ())))
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
         if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
             return answer
-    explained = fitted(Leave.of(task.camera, task.found, task.transfer, task.causes))
+    problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
+    explained = fitted(problem, Leave.of(task.camera, task.found, task.transfer, task.causes))
     audit = Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold) if task.can_look else None
     answer = _answer(explained)
     if audit is not None:
         judged = audit.misfits(explained.problem, explained.result)
         report["ladder"] = _summary(task, explained.problem, judged)
-        if may_refine and not edges.why and in_doubt(explained.result):
+        if may_refine and "lamp_place" in task.allowed and not edges.why and in_doubt(explained.result):
             answer.refined = _by_light(task, explained, audit)
             if answer.refined is not None:
                 answer.why = answer.refined.why
                 return answer
         answer = _materials(task, explained, audit, judged, report)
-    _finish(task, answer, audit, edges)
+    answer.why = _why(task, answer, audit, edges)
     return answer
 
 
@@ -138,6 +136,14 @@ def _edges(task):
     return places.by_edges(task.view(), task.lamps)
 
 
+def _unsure(task, edges):
+    """By what the lamps' light is unsure, since things stand no more surely than the edges tell."""
+    from lib.analysis import refine
+
+    loose = edges.registration.loose if edges.registration else {}
+    return tuple(refine.unsure(task.view(), task.factors, task.found, task.refined, loose))
+
+
 def _by_edges(task, edges):
     """Camera and model as the photograph's edges have them; None where the model could not keep its numbers."""
     from lib.analysis import refine
@@ -150,8 +156,6 @@ def _by_light(task, explained, audit):
     """The model with the lamp where its light has it, or None."""
     from lib.analysis import refine
 
-    if "lamp_place" not in task.allowed:
-        return None
     refined = refine.by_light(task.view(), task.factors, task.found, explained, audit)
     return refined if refined is not None and refined.keeps_parts else None
 
@@ -206,31 +210,19 @@ def _is_wrong_everywhere(explained, audit, judged):
     return everywhere and not agreement.fits(explained.result) and not audit.given
 
 
-def _finish(task, answer: Answer, audit, edges):
-    """Sigma of what is unsure of where things stand, and why photograph and facts do not agree."""
-    problem, result, explained = answer.problem, answer.result, answer.explained
-    if task.can_look and not answer.climb and task.causes != []:
+def _why(task, answer: Answer, audit, edges):
+    """[Why] photograph and facts do not agree, the likeliest first."""
+    result, explained = answer.result, answer.explained
+    why = agreement.disagreements(answer.problem, result, task.found, task.factors, task.transfer, explained.rivals)
+    if edges is not None and in_doubt(result):
+        why = agreement.joined(why, edges.why)
+    if audit is None:
+        return why
+    if not agreement.fits(result) and not answer.climb:
         from lib.analysis import refine
 
-        edges = edges or _edges(task)
-        loose = edges.registration.loose if edges.registration else {}
-        moves = refine.unsure(task.view(), task.factors, task.found, task.refined, loose)
-        answer.problem = problem = replace(problem, unsure=tuple(moves))
-        if moves and result.at is not None:
-            doubted = result.sigma_rho
-            uncertainty(problem, result.at, result)
-            result.sigma_rho = np.maximum(result.sigma_rho, doubted)  # of groups that differ all the same
-    why = agreement.disagreements(problem, result, task.found, task.factors, task.transfer, explained.rivals)
-    if in_doubt(result) and task.can_look and task.causes != []:
-        edges = edges or _edges(task)
-        why = agreement.joined(why, edges.why)
-    if audit is not None:
-        if not agreement.fits(result) and not answer.climb:
-            from lib.analysis import refine
-
-            why = agreement.joined(why, refine.flipped(task.view(), task.factors, task.found, explained))
-        why = agreement.joined(why, _strange(task, answer, audit, bool(why)))
-    answer.why = why
+        why = agreement.joined(why, refine.flipped(task.view(), task.factors, task.found, explained))
+    return agreement.joined(why, _strange(task, answer, audit, bool(why)))
 
 
 def _strange(task, answer, audit, is_wrong):

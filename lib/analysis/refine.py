@@ -1,7 +1,8 @@
 """Whether the camera, an object or a lamp stands elsewhere than given: then all that rests on it is made again.
 
-Looked at only where the light leaves a doubt. The photograph's edges are asked first. Where they agree with the given
-files, a lamp that the photograph does not show may still throw its light from elsewhere.
+The photograph's edges are asked first, whatever the light says: a thing that stands elsewhere may change nothing but
+its own brightness, which its reflectance takes. Where the edges agree with the given files and the light does not, a
+lamp that the photograph does not show may throw its light from elsewhere.
 """
 
 from __future__ import annotations

@@ -53,10 +53,10 @@ class Site:
         """The lamps' Emitters."""
         return lamps.emitters(self.surface, self.factors.lamps)
 
-    @cached_property
+    @property
     def subcell(self):
         """(N, N), see FormFactors.subcell."""
-        return self.factors.subcell()
+        return self.factors.subcell
 
     @cached_property
     def normals(self):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from lib.light.balance import spectral_radius
 from lib.light.cells import Mesh
 from lib.light.form_factors import FormFactorRows
 
+SHARE = 1 / 3  # of what the step to the next coarser cell would lose that is lost inside a cell
 CONTRACTS = 1e-3  # a spectral radius may exceed the largest row sum by so much: single precision, and the search
 
 
@@ -33,8 +35,9 @@ class FormFactors:
         """(N,) local, the part of each patch outside solids."""
         return self.mesh.area * self.rows.exposed
 
-    def subcell(self, share=1 / 3):
-        """(N, N) CSR: b -> b + share * (b - mean of b over the patch and its siblings), for the *sources* of a balance.
+    @cached_property
+    def subcell(self):
+        """(N, N) CSR: b -> b + SHARE * (b - mean of b over the patch and its siblings), for the *sources* of a balance.
 
         A patch of constant radiosity shows its bright and its dark part alike to those who see only one of them. What
         is lost that way inside a cell is a fixed share of what the step to the next coarser cell would lose:
@@ -44,12 +47,12 @@ class FormFactors:
 
         It must not make the light balance expansive: where it does, patches `beside_gaps` are left as they are.
         """
-        everywhere = self._subcell(np.full(len(self.area), share))
+        everywhere = self._subcell(np.full(len(self.area), SHARE))
         gaps = self.beside_gaps()
         F = self.rows.matrix()
         if not gaps.any() or spectral_radius(F @ everywhere) <= F.sum(axis=1).max() + CONTRACTS:
             return everywhere
-        return self._subcell(np.where(gaps, 0.0, share))
+        return self._subcell(np.where(gaps, 0.0, SHARE))
 
     def _subcell(self, share):
         """The same with a share (N,) for each patch."""

@@ -71,7 +71,7 @@ def lighting(
     plain = lamps.emitters(surface, factors.lamps)
     numbers = np.array([factors.groups.index(name) for name in factors.lamps], int)
     with timing("balance"):
-        subcell = factors.subcell()
+        subcell = factors.subcell
         F = (factors.rows.matrix() @ subcell).tocsr()
         F = stored(F) if appearance.finish is None else F
         patches = Patches(

@@ -8,14 +8,11 @@ import math
 import re
 from pathlib import Path
 
-from lib.given import transfer_kinds
+from lib.given import causes, transfer_kinds
 from lib.given.kinds import KINDS
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "goals", "augment", "params")
-GEOMETRIC = ("pose", "objects", "lamp_place")
-BUILT_CAUSES = ("curve", "vignetting", *GEOMETRIC)
-CAUSES = (*BUILT_CAUSES, "lamp_lobe", "glow", "fog")
 TRANSFERS = ("auto", *transfer_kinds.KINDS)
 
 
@@ -101,12 +98,12 @@ def reference(value):
 
 def explain(value):
     if not isinstance(value, list):
-        yield "explain", value, f"is not a list of {', '.join(CAUSES)}"
+        yield "explain", value, f"is not a list of {', '.join(causes.CAUSES)}"
         return
     for cause in value:
-        if cause not in CAUSES:
-            yield "explain", cause, f"is none of {', '.join(CAUSES)}"
-        elif cause not in BUILT_CAUSES:
+        if cause not in causes.CAUSES:
+            yield "explain", cause, f"is none of {', '.join(causes.CAUSES)}"
+        elif cause not in causes.BUILT:
             yield "explain", cause, "is not built yet"
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lib.core.stage import BadInput
+from lib.given.causes import GEOMETRIC
 from lib.planning import doctor
 from lib.planning.files import SIDES, alternatives
 from lib.planning.pipeline import REPORTS, Stage
-from lib.planning.rules import GEOMETRIC
 from lib.planning.scene import Scene
 
 CLOSING = ("scorecard.csv",)  # a goal of every scene, whatever it says
