@@ -327,3 +327,19 @@ def test_tile_means_derivative_in_gamma(bits):
     _, slope = tiles.linear(Transfer("gamma", 2.0))
     there, back = (tiles.linear(Transfer("gamma", 2.0 + s))[0] for s in (1e-5, -1e-5))
     np.testing.assert_allclose(slope[..., 0], (there - back) / 2e-5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("sigma", [0.03, 0.1])
+@pytest.mark.parametrize("of_light", [False, True])
+def test_a_tile_of_a_noisy_photograph_is_right_wherever_the_noise_came_to_it(sigma, of_light):
+    """Noise of the displayed values, or as large of the sensor's light: medians are right for both, means for one."""
+    rng = np.random.default_rng(4)
+    level, transfer = np.linspace(0.35, 0.8, 40)[:, None, None], Transfer("gamma", 2.2)
+    shown = np.broadcast_to(level, (40, 6000, 1))
+    light, noise = transfer.linear(shown), rng.normal(0, sigma, shown.shape)
+    pixels = transfer.display(np.clip(light + noise * 2.2 * light / shown, 0, 1)) if of_light else shown + noise
+    pixels = (np.round(255 * np.clip(pixels, 0, 1)) / 255).reshape(-1, 1)
+    seen, _ = TilePixels(pixels, np.arange(0, len(pixels) + 1, 6000), noisy=True).linear(transfer)
+    off = transfer.display(seen) - level[:, 0]
+    assert abs(off.mean()) < 0.05 * sigma**2 + 2e-4
+    assert off.std() < 1.3 * np.sqrt(1.5) * sigma / np.sqrt(6000) + 3e-4

@@ -95,6 +95,21 @@ def test_skewed_noise_does_not_bias_the_choice(level):
         assert level == 0.9  # noise that reaches white leaves little
 
 
+@pytest.mark.parametrize("sigma", [0.03, 0.1])
+def test_noise_does_not_choose_where_light_peaks(sigma):
+    """Half of a facet is kept, that nearest to a plane; a peak's pixels must not be those that noise has lowered."""
+    x, y = np.meshgrid(np.linspace(-1, 1, W), np.linspace(-1, 1, H))
+    peak = np.broadcast_to((sigma * np.cos(4 * x) * np.cos(3 * y))[..., None], (H, W, 3))
+    slopes = []
+    for seed in range(12):
+        noise = np.random.default_rng(seed).normal(0, sigma, peak.shape)
+        picture = photo(np.round(255 * np.clip(0.5 + peak + noise, 0, 1)) / 255)
+        mask = trusted(picture, np.zeros((H, W), np.int32), NO_EDGES, GROUP[:1]).mask
+        assert picture.noisy and 0.4 < mask.mean() < 0.6
+        slopes.append(np.polyfit(peak[mask].ravel(), noise[mask].ravel(), 1)[0])
+    assert abs(np.mean(slopes)) < 4 * np.std(slopes, ddof=1) / np.sqrt(len(slopes)) + 0.002
+
+
 def test_an_edge_in_the_photograph_is_avoided():
     """A step of 10 % inside a facet, say the shadow of something the model does not have."""
     values = flat(noise=0.01)

@@ -87,7 +87,7 @@ def blocks(facet, used, *, largest=20, smallest=4, tiles_per_facet=24):
 
 
 def pure(photograph, facet):
-    """(H, W) bool: pixels that show one facet alone, are not black, and have no saturated one within two pixels.
+    """(H, W) bool: pixels that show one facet alone, not black, and not among saturated ones (5 x 5 pixels).
 
     Beside a highlight's core those pixels that noise kept below saturation would be too dark on average.
     """
@@ -97,9 +97,10 @@ def pure(photograph, facet):
     usable = (facet >= 0) & ~boundary(facet)
     if photograph.linear:
         return usable & (values > 0).all(axis=2)
-    clipped = (values >= 250 / 255 - 1e-9).any(axis=2).astype(np.uint8)
-    near_clipped = cv2.dilate(clipped, np.ones((5, 5), np.uint8)) != 0
-    return usable & (values > 2 / 255 + 1e-9).any(axis=2) & ~near_clipped
+    share = lambda clipped: cv2.blur(clipped.astype(np.float32), (5, 5)) > photograph.spoilt_share + 1e-6
+    saturated = (values >= 250 / 255 - 1e-9).any(axis=2)
+    black = (values <= 2 / 255 + 1e-9).all(axis=2)
+    return usable & ~(share(black) if photograph.noisy else black) & ~share(saturated)
 
 
 def build(
@@ -147,6 +148,7 @@ class Gathered:
     pixels : (M, C) display values (linear: EXR), in the order of tiles.pixel;  group, object : (T,) int32
     visible : (G,) pixels that show each group, used or not;  linear : the photograph is linear (EXR)
     block_noise : of a JPEG, see Blocks;  edge_noise : (T,) the same of a pixel, where an edge runs through its block
+    noisy : of Photograph
     """
 
     tiles: Tiles
@@ -158,6 +160,7 @@ class Gathered:
     channels_in_file: int
     block_noise: float
     edge_noise: np.ndarray
+    noisy: bool
 
 
 def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling: Sampling) -> Gathered:
@@ -185,6 +188,7 @@ def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling:
         view.photograph.channels_in_file,
         view.photograph.blocks.noise if view.photograph.blocks else 0.0,
         _edge_noise(view, tiles),
+        view.photograph.noisy,
     )
 
 
@@ -221,5 +225,5 @@ def read(path) -> Gathered:
     tiles = Tiles(**{name: a[f"tiles_{name}"] for name in OF_TILES}, rows=FormFactorRows(**rows))
     more = {name: a[name] for name in OF_GATHERED}
     more["linear"], more["channels_in_file"] = bool(more["linear"]), int(more["channels_in_file"])
-    more["block_noise"] = float(more["block_noise"])
+    more["block_noise"], more["noisy"] = float(more["block_noise"]), bool(more["noisy"])
     return Gathered(tiles, **more)

@@ -55,12 +55,13 @@ def climb(
     wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}
     for here.rounds in range(1, MOST_ROUNDS + 1):
         step = _Step(site, here, wanted, settled, threshold, sure_only=not fits(here.result))
-        if not step.taken():
+        taken = step.taken()
+        if not taken:
             break
-        before = here.result.correlated
+        before, is_mirror = here.result.correlated, any(here.places[g].rung in MIRRORS for g in taken)
         here = fitted(here)
-        if step.sure_only and not wanted and here.result.correlated > PROGRESS * before:
-            break
+        if step.sure_only and not (wanted or is_mirror) and here.result.correlated > PROGRESS * before:
+            break  # a mirror's picture is no chance, and there may be more of them
         if _back(here, threshold):
             here = fitted(here)
         wanted, settled = {}, settled | set(given)

@@ -82,7 +82,7 @@ class _Shown:
         self.transfer = state.transfer
         metric = Metric(state.transfer)
         rows, terms = tiles.rows, problem.specular
-        self.seen = TilePixels(tiles.values, tiles.start).linear(metric.transfer)[0]
+        self.seen = TilePixels(tiles.values, tiles.start, problem.noisy).linear(metric.transfer)[0]
         G = (rows.matrix() @ subcell).tocsr()
         half = 0.5 * (((rows.matrix(0) - rows.matrix(1)) @ subcell) @ state.b)
         irradiance = tiles.direct @ state.E + G @ state.b

@@ -28,18 +28,23 @@ EDGE_SHARE = (
 )  # of the variance of a pixel beside an edge that tiles have, over their pixels: twice what tiles of 4 to
 # 30 pixels were off by in JPEGs of quality 80
 LEAST_NOISE = 0.3 / 255  # display, of one pixel: what rounding to 8 bits leaves
+OF_MEDIAN = 1.5  # variance of the median of noise over that of its mean
 
 
 class TilePixels:
     """The photograph's pixels tile by tile; asked for linear means at many gammas, so its levels are found once.
 
-    pixels : (M, C) display;  start : (T + 1,)
+    A tile of a noisy photograph is its median. Noise may have come to the sensor's light or to the displayed values,
+    and be cut off at black or white: a mean is right for one of these only, the median for all, since T keeps order.
+
+    pixels : (M, C) display;  start : (T + 1,);  noisy : of Photograph, medians are taken
     """
 
-    def __init__(self, pixels, start):
+    def __init__(self, pixels, start, noisy=False):
         self.count = np.diff(start)[:, None]
         self.start = start
         self.pixels = pixels
+        self._medians = _medians(pixels, start) if noisy else None
         scaled = pixels * 65535
         if len(pixels) and np.array_equal(scaled, np.round(scaled)):
             self._levels = np.arange(65536) / 65535
@@ -57,6 +62,8 @@ class TilePixels:
 
         It is mean(T^-1(I)), never T^-1(mean(I)): docs/design.md, Jensen.
         """
+        if self._medians is not None and transfer.kind != "linear":
+            return transfer.linear(self._medians), transfer.linear_by_parameters(self._medians)
         levels = self.pixels if self._levels is None or transfer.kind == "linear" else self._levels
         value, slope = transfer.linear(levels), transfer.linear_by_parameters(levels)
         at = (lambda values: values[self._index]) if levels is self._levels else lambda values: values
@@ -167,6 +174,7 @@ class Problem:
     cause : fitted with the rest, or None;  gain : (T, 1) of the lens, by which the photograph is divided, or None
     block_noise : display, of blocks of pixels (JPEG);  edge_noise : (T,) of a pixel of each tile, beside edges, or None
     unsure : ((dD, dD_tile), ...) changes of the lamps' light by one standard deviation of where things stand
+    noisy : tiles are medians, see Photograph.noisy
     """
 
     F: Any
@@ -195,9 +203,10 @@ class Problem:
     block_noise: float = 0.0
     edge_noise: np.ndarray | None = None
     unsure: tuple = ()
+    noisy: bool = False
 
     def __post_init__(self):
-        self.photograph = TilePixels(self.pixels, self.start)
+        self.photograph = TilePixels(self.pixels, self.start, self.noisy)
         self.pixel_noise = _pixel_noise(self.pixels, self.start)
 
     @property
@@ -211,7 +220,8 @@ class Problem:
     def noise_variance(self, n_pixels):
         """(T, 1) display variance of means over so many pixels (T,): of each pixel, and of blocks that share it."""
         n = np.asarray(n_pixels, float)[:, None]
-        return self.pixel_noise**2 / n + self.block_noise**2 / np.maximum(n / SHARED_PX**2, 1)
+        of_tile = OF_MEDIAN if self.noisy else 1.0
+        return of_tile * self.pixel_noise**2 / n + self.block_noise**2 / np.maximum(n / SHARED_PX**2, 1)
 
     @property
     def tile_noise(self):
@@ -240,6 +250,18 @@ def _pixel_noise(pixels, start):
     if not inner.any():
         return 0.01
     return max(1.4826 * float(np.median(np.abs(step[inner]))) / np.sqrt(2), LEAST_NOISE)
+
+
+def _medians(pixels, start):
+    """(T, C) medians of each tile of pixels (M, C): means of the middle fifth, which lie between levels of 8 bits."""
+    count = np.diff(start)
+    tile = np.repeat(np.arange(len(count)), count)
+    low, high = start[:-1] + (2 * (count - 1)) // 5, start[:-1] + count - (2 * (count - 1)) // 5
+    middle = np.zeros((len(count), pixels.shape[1]))
+    for c, values in enumerate(pixels.T):
+        total = np.concatenate([[0.0], np.cumsum(values[np.lexsort((values, tile))])])
+        middle[:, c] = (total[high] - total[low]) / (high - low)
+    return middle
 
 
 @dataclass(frozen=True, eq=False)

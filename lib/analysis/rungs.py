@@ -105,7 +105,7 @@ def plain(site: Site, light: LightSoFar, tiles: Receivers, whole_rho_s, chains: 
         else:
             mine = np.flatnonzero((tiles.group == g) & (tiles.chain > 0))
     t = tiles.take(mine)
-    seen = TilePixels(t.values, t.start).linear(light.metric.transfer)[0]
+    seen = TilePixels(t.values, t.start, light.problem.noisy).linear(light.metric.transfer)[0]
     irradiance, spread = light.irradiance(site, t), 0.0
     if chains is not None:
         more, spread = irradiance_past(site, light.finish, light.rho_s, light.state, t)
@@ -130,7 +130,7 @@ def as_mirror(site: Site, light: LightSoFar, g, diffuse: Misfit, textured=()):
     t = _mirror_tiles(site, light, wider, chains, g, textured)
     if t is None:
         return []
-    seen = TilePixels(t.values, t.start).linear(light.metric.transfer)[0]
+    seen = TilePixels(t.values, t.start, light.problem.noisy).linear(light.metric.transfer)[0]
     C = site.channels
     irradiance = light.irradiance(site, t) + _by_mirrored_lamps(site, light, wider, chains, t)
     power = chains.power(np.vstack([light.rho_s, np.ones((1, C))]))[t.chain]
@@ -235,7 +235,7 @@ class Lobe:
         if len(t) > LOBE_TILES:
             t = t.take(np.unique(np.linspace(0, len(t) - 1, LOBE_TILES).astype(int)))
         self.tiles = t
-        self.seen = TilePixels(t.values, t.start).linear(light.metric.transfer)[0]
+        self.seen = TilePixels(t.values, t.start, light.problem.noisy).linear(light.metric.transfer)[0]
         more, spread = irradiance_past(site, light.finish, light.rho_s, light.state, t)
         self.irradiance = (light.irradiance(site, t) + more) * power[t.chain]
         self.spread = spread * power[t.chain]

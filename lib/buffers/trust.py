@@ -7,6 +7,8 @@ import numpy as np
 
 from lib.buffers.edges import boundary, shifted
 
+BLOCK_PX = 4  # noise of demosaicing and of a lens' blur reaches less far
+
 
 @dataclass(frozen=True, eq=False)
 class Trust:
@@ -31,7 +33,8 @@ def trusted(
     enough                              a group with fewer pixels gives up its margins, then the choice, step by step
 
     A pixel is judged by the mean of its surroundings on the same facet (window_px wide), never by its own value: noise
-    has a long tail on one side, and to choose pixels by their noise would bias their mean.
+    has a long tail on one side, and to choose pixels by their noise would bias their mean. In a noisy photograph the
+    pixel's own block of BLOCK_PX has no say, either: what noise has lowered where light peaks would seem the flattest.
     """
     labels = facet + 1
     display, black, white = _display(photograph)
@@ -39,10 +42,11 @@ def trusted(
     left = {"seen": int((facet >= 0).sum())}
 
     inner = np.where(mixed, 0, labels)
-    planes = [*np.moveaxis(display, 2, 0), black, white]
-    *mean, black, white = _local_mean(planes, inner, range(1, window_px // 2 + 1))
-    mean = np.stack(mean, axis=2)
-    clipped = (black > 0) | (white > 0)  # one black or saturated pixel spoils its surroundings
+    window = range(1, window_px // 2 + 1)
+    black, white = _local_mean([black, white], inner, window)
+    judge = _mean_of_others if photograph.noisy else _local_mean
+    mean = np.stack(judge(np.moveaxis(display, 2, 0), inner, window), axis=2)
+    clipped = (black > photograph.spoilt_share) | (white > photograph.spoilt_share)
     if not photograph.linear:
         clipped |= (mean > 0.97).any(axis=2)
     usable = ~mixed & ~clipped
@@ -121,6 +125,20 @@ def _local_mean(planes, labels, steps):
                     total[i][here] += source[there] * same[axis, step]
                     total[i][there] += source[here] * same[axis, step]
     return [plane / total[0] for plane in total[1:]]
+
+
+def _mean_of_others(planes, labels, steps):
+    """As _local_mean, but of blocks of the other colour of a chessboard; of all where none of those is near."""
+    y, x = np.indices(labels.shape, sparse=True)
+    light = ((y // BLOCK_PX + x // BLOCK_PX) % 2 == 0).astype(np.float32)
+    of_light = _local_mean([light, *(plane * light for plane in planes)], labels, steps)
+    of_all = _local_mean(planes, labels, steps)
+    share = np.where(light > 0, 1 - of_light[0], of_light[0])
+    alone = share < 1e-3
+    share[alone] = 1
+    for k, (everywhere, lit) in enumerate(zip(of_all, of_light[1:], strict=True)):
+        of_all[k] = np.where(alone, everywhere, np.where(light > 0, everywhere - lit, lit) / share)
+    return of_all
 
 
 def _canny(display, labels, edge_noise):

@@ -7,6 +7,7 @@ import os
 import struct
 import zlib
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,11 @@ import numpy as np
 from lib.core.stage import BadInput
 from lib.given import jpeg
 from lib.given.transfer import display_of_linear
+
+MAY_CLIP = 0.25  # share of a noisy surface's pixels that may be clipped: its median is not
+NOISY = 0.01  # display, standard deviation of a pixel, from which a photograph may be called noisy
+SKEWED, OUTLIER = 0.1, 4.0  # mean cube of second differences in sigmas; held down to so many
+_OF_SECOND = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +42,37 @@ class Photograph:
     def display(self) -> np.ndarray:
         """(H, W, C) display values in [0, 1]."""
         return display_of_linear(self.values) if self.linear else self.values
+
+    @cached_property
+    def noisy(self) -> bool:
+        """Noise has its say in what clips, and in the means of what lies behind a transfer function.
+
+        That is noise whose median is that of its cause: of the displayed values, or of a sensor. A path tracer's few
+        bright samples among many dark ones are known by their skewness: only the mean of their light is right.
+        """
+        if self.linear:
+            return False
+        second = _second_differences(self.values)
+        sigma = float(np.median(np.abs(second))) / 0.6745 if second.size else 0.0
+        if sigma <= NOISY * _OF_SECOND:
+            return False
+        cubes = np.clip(second / sigma, -OUTLIER, OUTLIER) ** 3
+        return float(cubes.mean()) < SKEWED
+
+    @property
+    def spoilt_share(self) -> float:
+        """A place shows a saturated or black surface where more than this share of its pixels are clipped.
+
+        Without noise any clipped pixel says so. Noise alone clips pixels of surfaces far from the ends of the range,
+        and to leave out the surroundings of each would choose places by their noise.
+        """
+        return MAY_CLIP if self.noisy else 0.0
+
+
+def _second_differences(values):
+    """(H - 2, W - 2, C) across and along: shading is gone, noise is left, _OF_SECOND times as large."""
+    along = values[:, :-2] - 2 * values[:, 1:-1] + values[:, 2:]
+    return along[:-2] - 2 * along[1:-1] + along[2:]
 
 
 def read_photograph(path) -> Photograph:
