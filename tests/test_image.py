@@ -145,3 +145,19 @@ def test_float_tiff_is_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "a.tif"), RNG.random((4, 5, 3)).astype(np.float32))
     with pytest.raises(BadInput, match="float32"):
         image.read_photograph(tmp_path / "a.tif")
+
+
+def test_what_rounding_does_to_a_jpeg_of_one_colour(tmp_path):
+    """Its error is the same all over: `colour` tells how large it is, over many colours."""
+    rng, off, told = np.random.default_rng(2), [], None
+    for _ in range(60):
+        colour = rng.uniform(90, 170) + rng.uniform(-12, 12, 3)
+        light = np.linspace(0.9, 1.1, 128)[None, :, None] + rng.normal(0, 0.003, (128, 128, 1))
+        stored = np.round(colour * light).astype(np.uint8)
+        path = tmp_path / "flat.jpg"
+        cv2.imwrite(str(path), stored[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+        photograph = image.read_photograph(path)
+        off.append(photograph.values.mean(axis=(0, 1)) - stored.mean(axis=(0, 1)) / 255)
+        told = photograph.blocks.colour
+    found = np.sqrt(np.mean(np.square(off), axis=0))
+    assert (found < 1.3 * told).all() and (found > 0.4 * told).all(), (found, told)

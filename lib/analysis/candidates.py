@@ -11,8 +11,10 @@ from lib.analysis.evidence import Evidence, evidence
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Problem, Result
 
-NATS = 10.0  # by which a more complex explanation must win, and so much per tile besides
-NATS_PER_TILE = 0.02
+NATS = 10.0  # by which a more complex explanation must win, and so much per tile and free number besides: the errors of
+# neighbouring tiles are no independent witnesses, and what has many free numbers can bend to them
+NATS_PER_TILE = 0.0065
+USUAL = 3  # free numbers that an explanation has more
 ROUGH = {"tolerance": 1e-3, "max_iterations": 15}  # of fits that are only compared
 
 
@@ -57,10 +59,14 @@ class Candidate:
 
     def beats(self, other: Candidate) -> bool:
         """By enough, and the typical tile is no worse."""
-        gain = self.evidence.nats - other.evidence.nats
-        return gain >= enough(other.problem) and self.typical <= other.typical
+        return self.is_worth(other) and self.typical <= other.typical
+
+    def is_worth(self, other: Candidate) -> bool:
+        """It beats the other by enough, as many free numbers as it has more."""
+        more = max(self.complexity - other.complexity, 0) or USUAL
+        return self.evidence.nats - other.evidence.nats >= enough(other.problem, more)
 
 
-def enough(problem: Problem) -> float:
-    """Nats that a more complex explanation must bring."""
-    return NATS + NATS_PER_TILE * len(problem.tile_group)
+def enough(problem: Problem, more=USUAL) -> float:
+    """Nats that an explanation must bring that has `more` free numbers."""
+    return NATS + NATS_PER_TILE * more * len(problem.tile_group)

@@ -55,6 +55,7 @@ def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, trans
         start=tiles.start,
         pixels=found.pixels,
         block_noise=found.block_noise,
+        colour_noise=found.colour_noise if found.colour_noise.any() else None,
         noisy=found.noisy,
         edge_noise=found.edge_noise if found.edge_noise.any() else None,
         groups=factors.groups,

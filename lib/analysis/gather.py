@@ -148,6 +148,7 @@ class Gathered:
     pixels : (M, C) display values (linear: EXR), in the order of tiles.pixel;  group, object : (T,) int32
     visible : (G,) pixels that show each group, used or not;  linear : the photograph is linear (EXR)
     block_noise : of a JPEG, see Blocks;  edge_noise : (T,) the same of a pixel, where an edge runs through its block
+    colour_noise : (C,) the same that all tiles of one colour have in common
     noisy : of Photograph
     """
 
@@ -160,6 +161,7 @@ class Gathered:
     channels_in_file: int
     block_noise: float
     edge_noise: np.ndarray
+    colour_noise: np.ndarray
     noisy: bool
 
 
@@ -188,8 +190,15 @@ def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling:
         view.photograph.channels_in_file,
         view.photograph.blocks.noise if view.photograph.blocks else 0.0,
         _edge_noise(view, tiles),
+        _colour_noise(view.photograph),
         view.photograph.noisy,
     )
+
+
+def _colour_noise(photograph):
+    """(C,) display: see Blocks; 0 where there is no colour to be rounded."""
+    none, blocks = np.zeros(photograph.values.shape[2]), photograph.blocks
+    return blocks.colour if blocks and len(blocks.colour) == len(none) else none
 
 
 def _edge_noise(view, tiles):

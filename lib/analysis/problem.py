@@ -173,6 +173,7 @@ class Problem:
     variance : (T, 1) display, of what is known not to be explained (a texture), or None
     cause : fitted with the rest, or None;  gain : (T, 1) of the lens, by which the photograph is divided, or None
     block_noise : display, of blocks of pixels (JPEG);  edge_noise : (T,) of a pixel of each tile, beside edges, or None
+    colour_noise : (C,) display, that all tiles of one colour have in common, or None
     unsure : ((dD, dD_tile), ...) changes of the lamps' light by one standard deviation of where things stand
     noisy : tiles are medians, see Photograph.noisy
     """
@@ -202,6 +203,7 @@ class Problem:
     gain: np.ndarray | None = None
     block_noise: float = 0.0
     edge_noise: np.ndarray | None = None
+    colour_noise: np.ndarray | None = None
     unsure: tuple = ()
     noisy: bool = False
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lib.analysis.candidates import Candidate, enough
+from lib.analysis.candidates import Candidate
 from lib.analysis.equations import smooth
 from lib.analysis.evidence import promised
 from lib.analysis.facts import USUAL_GAMMA
@@ -64,6 +64,6 @@ def simplest(candidates) -> Candidate:
     """The one with the fewest free numbers that no other beats by enough."""
     best = None
     for candidate in sorted(candidates, key=lambda c: c.complexity):
-        if best is None or candidate.evidence.nats - best.evidence.nats >= enough(best.problem):
+        if best is None or candidate.is_worth(best):
             best = candidate
     return best

@@ -122,6 +122,8 @@ def _common_errors(problem, at, normal):
         for g in np.unique(problem.tile_group[problem.edge_noise > 0]):
             off = np.where(problem.tile_group == g, BLED * problem.edge_noise, 0)[:, None]
             found[f"blocks {problem.groups[g]}"] = normal.push(off / np.maximum(at.slope, 1e-9))
+    for name, off in _colours(problem):
+        found[name] = normal.push(off / np.maximum(at.slope, 1e-9))
     for k, (dD, dD_tile) in enumerate(problem.unsure):
         dB = dD_tile @ state.E
         if dD is not None:
@@ -135,6 +137,24 @@ def _common_errors(problem, at, normal):
         )
         found["form factors"] = 0.5 * normal.push(rho_tile * (problem.G @ (b0 - b1)))
     return found
+
+
+def _colours(problem):
+    """(name, (T, C) display) of what JPEG's rounding of colours does to a group's tiles alike, channel by channel.
+
+    A group that shows many colours has them rounded up and down.
+    """
+    if problem.colour_noise is None:
+        return
+    levels = 255 * problem.photograph.display()
+    colour = levels - levels.mean(axis=1, keepdims=True)
+    for g in np.unique(problem.tile_group):
+        own = problem.tile_group == g
+        off = problem.colour_noise / (1 + colour[own].var(axis=0))
+        for c, size in enumerate(off):
+            pattern = np.zeros(levels.shape)
+            pattern[own, c] = size
+            yield f"colour {problem.groups[g]} {c}", pattern
 
 
 def _at_least_typical(delta, theta, at, problem):

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 SHARED_PX = 16  # side of the block that shares its error, where chroma is halved
-TO_RGB = (1.402**2 + 0.344**2 + 0.714**2 + 1.772**2) / 3  # mean square of Cb and Cr in R, G, B
+OF_CHROMA = np.array([1.402, np.hypot(0.344, 0.714), 1.772])  # Cb and Cr in R, G, B
+TO_RGB = float((OF_CHROMA**2).mean())
 
 
 class Blocks(NamedTuple):
@@ -15,11 +16,13 @@ class Blocks(NamedTuple):
 
     px : side;  noise : standard deviation (display) of what rounding adds to all pixels of one
     edge_noise : of what it adds to a pixel where an edge runs through its block: ringing, and colours that run over
+    colour : (C,) of what all blocks of one colour have in common
     """
 
     px: int
     noise: float
     edge_noise: float
+    colour: np.ndarray
 
 
 def blocks(data: bytes) -> Blocks | None:
@@ -28,13 +31,18 @@ def blocks(data: bytes) -> Blocks | None:
     Each coefficient is rounded to a multiple of its step q, an error of q / sqrt(12). The constant one and the two
     slowest waves, q / 8 of a level each, are alike all over a small block. The fast ones are 0 where the picture is
     smooth, and rounded where an edge runs through the block.
+
+    The constant ones of Cb and Cr are rounded alike all over a surface of one colour, to multiples of q and then to
+    whole levels, and so is what R, G and B are made of them: no number of pixels takes that away.
     """
     tables = dict(_tables(data))
     if not tables:
         return None
     luma, chroma = tables[min(tables)], tables[max(tables)] if len(tables) > 1 else np.zeros(64)
     noise = lambda luma, chroma: float(np.sqrt(((luma**2).sum() + TO_RGB * (chroma**2).sum()) / 64 / 12) / 255)
-    return Blocks(_side(data), noise(luma[:3], chroma[:3]), noise(luma, chroma))
+    rounded = np.hypot(chroma[0] / 8, 1) * OF_CHROMA
+    colour = np.sqrt((rounded**2 + 1) / 12) / 255 if len(tables) > 1 else np.zeros(1)
+    return Blocks(_side(data), noise(luma[:3], chroma[:3]), noise(luma, chroma), colour)
 
 
 def _side(data):
