@@ -30,7 +30,7 @@ def options():
     parser = stage.parser(
         __doc__,
         reads="gather formfactors",
-        may_read="audit model camera photograph facet",
+        may_read="audit model camera photograph facet curve",
         may_lack="refined_causes",
         refined="camera model",
         writes="materials",
@@ -115,9 +115,14 @@ def task_of(opt):
     held = None if audit is None else (len(audit.visible), audit.tiles.rows.columns)
     if held not in (None, (len(factors.groups), len(factors.area))):
         raise stage.BadInput(f"{opt.audit}: groups, patches: {held[0]}, {held[1]} are not those of {opt.formfactors}")
+    transfer = opt.transfer
+    if isinstance(transfer, dict) and "curve" in transfer:
+        if not opt.curve:
+            raise stage.BadInput("--curve: missing, and --transfer names one")
+        transfer = materials.read_curve(opt.curve)
     shown = opt.audit and opt.camera and opt.model and opt.photograph and opt.facet
     return Task(
-        problem=facts.problem_of(factors, found, lamps=opt.lamps, reference=opt.reference, transfer=opt.transfer),
+        problem=facts.problem_of(factors, found, lamps=opt.lamps, reference=opt.reference, transfer=transfer),
         found=found,
         factors=factors,
         camera=cameras.read_cameramodel(opt.camera) if opt.camera else None,

@@ -1,5 +1,6 @@
 """The camera's own tone curve, and which transfer function a photograph supports."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from lib.analysis.candidates import enough
 from lib.analysis.evidence import evidence
 from lib.analysis.explain import Leave
 from lib.analysis.gauss_newton import gauss_newton
+from lib.core.stage import BadInput
 from lib.given import materials, tone_curve
 from lib.given.materials import FoundTransfer, Materials
 from lib.given.transfer import Metric, Transfer, srgb_from_linear
@@ -111,3 +113,43 @@ def test_a_curve_in_materials_json_comes_back(tmp_path):
     np.testing.assert_allclose(read.function.display(LIGHT), LIGHT**0.5, atol=3e-4)
     np.testing.assert_allclose(read.function.linear(LIGHT), LIGHT**2, atol=3e-5)
     assert read.sigma[0] is None and read.sigma[-1] == 0.01
+
+
+def written(folder, **more):
+    """A response that was measured elsewhere, as its file."""
+    I = np.linspace(0, 1, 256)
+    light = np.interp(I, film(np.linspace(0, 1, 4000)), np.linspace(0, 1, 4000))
+    light[-1] = 1.0
+    path = folder / "response.json"
+    content = {"kind": "curve", "linear": list(light), "display": list(I), "matrix": None, "sigma": None}
+    path.write_text(json.dumps(content | more))
+    return path
+
+
+def test_a_measured_response_is_read_from_its_file(tmp_path):
+    problem, rho = photographed(film)
+    problem = replace(problem, transfer=materials.read_curve(written(tmp_path)), fit_transfer=False)
+    chosen = explain.explain(problem, Leave(response=False), max_iterations=40)
+    assert chosen.problem.transfer.samples and chosen.result.converged and not chosen.rivals
+    np.testing.assert_allclose(chosen.result.state.rho[:2], rho[:2], atol=0.01)
+
+
+def test_the_rival_of_a_measured_response_that_is_another_cameras(tmp_path):
+    problem, _ = photographed(sigmoid)
+    problem = replace(problem, transfer=materials.read_curve(written(tmp_path)), fit_transfer=False)
+    assert explain.explain(problem, Leave(response=False), max_iterations=40).rivals["curve"] > enough(problem)
+
+
+@pytest.mark.parametrize(
+    "more, said",
+    [
+        ({"kind": "gamma", "gamma": 2.2}, "kind: 'gamma'"),
+        ({"display": [0, 1]}, "display = [0, 1]"),
+        ({"display": list(np.linspace(0, 1, 100))}, "display: 100 values"),
+        ({"matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "matrix: "),
+    ],
+)
+def test_a_file_that_is_no_curve_is_refused(tmp_path, more, said):
+    with pytest.raises(BadInput) as refused:
+        materials.read_curve(written(tmp_path, **more))
+    assert str(refused.value).startswith(f"{tmp_path / 'response.json'}: {said}")

@@ -114,8 +114,14 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
         ),
         ("transfer: {gamma: 0}", "transfer.gamma: 0 is not a positive number"),
         ("transfer: {gamma: .nan}", "transfer.gamma: NaN is not a positive number"),
-        ("transfer: {}", "transfer.gamma: is missing"),
-        ("transfer: {gamma: 2, x: 1}", "transfer.x: 1 is an unknown key; known is gamma"),
+        ("transfer: {}", "transfer: {} is neither one gamma nor one curve"),
+        (
+            "transfer: {gamma: 2, curve: a.json}",
+            'transfer: {"gamma": 2, "curve": "a.json"} is neither one gamma nor one',
+        ),
+        ("transfer: {gamma: 2, x: 1}", "transfer.x: 1 is an unknown key; known are gamma, curve"),
+        ("transfer: {curve: a.json}", 'transfer.curve: "a.json" is not in the scene\'s folder'),
+        ("transfer: {curve: ../a.json}", 'transfer.curve: "../a.json" lies outside the scene\'s folder'),
         (
             "surfaces: {wall: shiny}",
             'surfaces.wall: "shiny" is none of diffuse, mirror, coloured_mirror, glossy, textured',

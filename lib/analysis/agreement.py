@@ -97,7 +97,9 @@ def _transfer(problem, asked, rivals):
 
 
 def _named(asked):
-    return f"gamma {asked['gamma']:g}" if isinstance(asked, dict) else asked
+    if not isinstance(asked, dict):
+        return asked
+    return f"the curve of {asked['curve']}" if "curve" in asked else f"gamma {asked['gamma']:g}"
 
 
 def lamps(problem, result):

@@ -15,9 +15,14 @@ USUAL_GAMMA = 2.2
 
 
 def transfer_of(transfer, linear_photograph) -> Transfer:
-    """The transfer function that scene.yaml names, with gamma's usual start where it is to be found."""
+    """The transfer function that scene.yaml names, with gamma's usual start where it is to be found.
+
+    transfer : as in scene.yaml, None, or the Transfer that its file holds
+    """
     if transfer in (None, "auto"):
         transfer = "linear" if linear_photograph else "gamma"
+    if isinstance(transfer, Transfer):
+        return transfer
     if isinstance(transfer, dict):
         return Transfer("gamma", float(transfer["gamma"]))
     if transfer == "gamma":

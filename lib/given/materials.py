@@ -32,6 +32,7 @@ from lib.core.record import (
     told,
     word,
 )
+from lib.core.stage import BadInput
 from lib.given import transfer_kinds
 from lib.given.kinds import KINDS, LOBES, MIRRORS
 from lib.given.transfer import Transfer
@@ -240,6 +241,21 @@ class Materials:
 def read(path) -> Materials:
     """materials.json, found or true. BadInput: one line for each value that breaks its rule: file, field, value."""
     return record.read(path, Materials)
+
+
+def read_curve(path) -> Transfer:
+    """A measured response: what stands under `transfer` in materials.json, of the kind curve, in a file of its own.
+
+    BadInput: it is no curve, or has a colour matrix, which is not built yet.
+    """
+    found = record.read(path, FoundTransfer)
+    if found.kind != "curve" or found.linear is None or found.display is None:
+        raise BadInput(f"{path}: kind: {found.kind!r} with linear and display is not a curve")
+    if len(found.linear) != len(found.display):
+        raise BadInput(f"{path}: display: {len(found.display)} values are not as many as linear's {len(found.linear)}")
+    if found.matrix is not None:
+        raise BadInput(f"{path}: matrix: {found.matrix} is not built yet: only null")
+    return found.function
 
 
 def read_causes(path) -> list[Cause]:

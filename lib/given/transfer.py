@@ -120,7 +120,7 @@ class Transfer:
 
     def linear_by_parameters(self, I) -> np.ndarray:
         """d linear / d parameters at display values I, (..., P)."""
-        if self.kind == "curve":
+        if self.kind == "curve" and self.shape:
             return tone_curve.linear_by_c(I, self.shape)
         if self.kind == "gamma":
             return (self.linear(I) * np.log(np.maximum(I, 1e-30)))[..., None]
@@ -128,10 +128,10 @@ class Transfer:
 
     def as_curve(self) -> Transfer:
         """The curve of the same display values, as near as a curve's knots allow."""
-        if self.kind == "curve":
+        if self.kind == "curve" and self.shape:
             return self
         knots = np.array(tone_curve.KNOTS)
-        step = 1e-4
+        step = 0.01 if self.samples else 1e-4  # samples have corners between them
         slope = np.log(self.linear(knots) / self.linear(knots * (1 - step))) / -np.log1p(-step)
         return Transfer("curve", shape=tuple(map(float, np.log(slope))))
 
@@ -171,6 +171,6 @@ class Metric:
         B = np.maximum(B, 1e-12)
         if self.transfer.kind == "gamma":
             return (-self.value(B) * np.log(B) / self.transfer.gamma**2)[..., None]
-        if self.transfer.kind == "curve":
+        if self.transfer.shape:
             return tone_curve.display_by_c(B, self.transfer.shape)
         return np.zeros((*np.shape(B), 0))

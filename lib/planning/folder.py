@@ -25,7 +25,7 @@ def inspect(scene, files) -> list[str]:
     files : names as in pipeline.yaml, of which the model, photographs and cameras are opened.
     Returns problems, one line each.
     """
-    from lib.given import image, lenses  # NumPy: a plan whose files were found good does without
+    from lib.given import image, lenses, materials  # NumPy: a plan whose files were found good does without
     from lib.given import model as models
     from lib.given.view import size_problem
 
@@ -35,6 +35,7 @@ def inspect(scene, files) -> list[str]:
         MODEL: models.load,
         **{photograph_of(side): image.read_photograph for side in SIDES},
         **dict.fromkeys(cameras, lenses.read),
+        scene.views["<curve>"]: materials.read_curve,
     }
     for file, reader in readers.items():
         if file in files and (path := scene.given(file)):

@@ -54,7 +54,8 @@ def inspect(plan) -> dict[Path, str]:
 
     They are not opened again until one changes.  Raises BadInput with a line for each that cannot be used.
     """
-    files = {file for name in plan.planned for file in plan.stages[name].reads.values() if plan.scene.given(file)}
+    needed = {file for name in plan.planned for file in plan.stages[name].reads.values()}
+    files = {file for file in (*needed, plan.scene.views["<curve>"]) if plan.scene.given(file)}
     paths = [path for file in sorted(files) if (path := plan.scene.given(file)).is_file()]
     names = {key: sorted(getattr(plan.scene, key)) for key in ("lamps", "reference", "surfaces")}
     content = "\n".join([artefact.dumps_json(names), *map(_stamp, paths)]) + "\n"

@@ -107,16 +107,28 @@ def explain(value):
             yield "explain", cause, "is not built yet"
 
 
-def transfer(value):
+def transfer(value, scene):
     if isinstance(value, dict):
-        for key in sorted(map(str, value.keys() - {"gamma"})):
-            yield f"transfer.{key}", value.get(key), "is an unknown key; known is gamma"
-        if "gamma" not in value:
-            yield "transfer.gamma", None, "is missing"
-        elif not (finite(value["gamma"]) and value["gamma"] > 0):
+        for key in sorted(map(str, value.keys() - {"gamma", "curve"})):
+            yield f"transfer.{key}", value.get(key), "is an unknown key; known are gamma, curve"
+        if len(value.keys() & {"gamma", "curve"}) != 1:
+            yield "transfer", value, "is neither one gamma nor one curve"
+        elif "gamma" in value and not (finite(value["gamma"]) and value["gamma"] > 0):
             yield "transfer.gamma", value["gamma"], "is not a positive number"
+        elif "curve" in value:
+            yield from _file("transfer.curve", value["curve"], scene)
     elif not isinstance(value, str) or value not in TRANSFERS:
-        yield "transfer", value, f"is none of {', '.join(TRANSFERS)}, {{gamma: 2.2}}"
+        yield "transfer", value, f"is none of {', '.join(TRANSFERS)}, {{gamma: 2.2}}, {{curve: file.json}}"
+
+
+def _file(key, value, scene):
+    """A file of the scene's folder."""
+    if not isinstance(value, str) or not value or "|" in value:
+        yield key, value, "is not a file's name"
+    elif outside(value):
+        yield key, value, "lies outside the scene's folder"
+    elif not scene.given(value):
+        yield key, value, "is not in the scene's folder"
 
 
 def surfaces(value):

@@ -15,6 +15,7 @@ from lib.planning.folder import folder_problems
 from lib.planning.rules import KEYS, show
 from lib.planning.yaml_file import read_yaml
 
+NO_FILE = "-"  # no scene has one of this name
 GOALS = ("materials.json", "rendered.png", "report.html")
 
 
@@ -28,7 +29,7 @@ class Scene:
     lens: str = "LENSMODEL_OPENCV8"
     lamps: dict = field(default_factory=dict)  # group -> [r, g, b] emittance, or "unknown"
     reference: dict = field(default_factory=dict)  # group -> [r, g, b] reflectance
-    transfer: object = None  # a word, or {"gamma": g}
+    transfer: object = None  # a word, {"gamma": g} or {"curve": file}
     explain: object = None  # causes that may be taken, None: all
     surfaces: dict = field(default_factory=dict)  # group -> kind
     goals: tuple = GOALS
@@ -49,7 +50,8 @@ class Scene:
     @property
     def views(self):
         """What pipeline.yaml's <model>, <left>, <left camera> and so on are in this scene (`views` below)."""
-        return {"<model>": MODEL, **views(self, "left"), **views(self, "right")}
+        curve = self.transfer.get("curve", NO_FILE) if isinstance(self.transfer, dict) else NO_FILE
+        return {"<model>": MODEL, "<curve>": curve, **views(self, "left"), **views(self, "right")}
 
     def fact(self, key):
         """What a stage is told of scene.yaml under this key of `facts`; None: nothing."""
@@ -134,7 +136,7 @@ def read(folder, stages) -> Scene:
         "lens": rules.lens,
         "lamps": rules.lamps,
         "reference": rules.reference,
-        "transfer": rules.transfer,
+        "transfer": lambda v: rules.transfer(v, bare),
         "explain": rules.explain,
         "surfaces": rules.surfaces,
         "goals": lambda v: rules.goals(v, outputs, bare),
