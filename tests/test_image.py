@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from lib.buffers.trust import in_blocks
 from lib.core.stage import BadInput
 from lib.given import image
 
@@ -161,3 +162,26 @@ def test_what_rounding_does_to_a_jpeg_of_one_colour(tmp_path):
         told = photograph.blocks.colour
     found = np.sqrt(np.mean(np.square(off), axis=0))
     assert (found < 1.3 * told).all() and (found > 0.4 * told).all(), (found, told)
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+def test_the_orientation_of_exif_is_honoured(tmp_path, turn):
+    """As Pillow turns it upright; the blocks of the JPEG are where they were stored."""
+    from PIL import Image, ImageOps
+
+    stored = Image.fromarray(np.kron(RNG.integers(0, 256, (6, 9, 3)), np.ones((7, 7, 1))).astype(np.uint8))
+    exif = Image.Exif()
+    exif[274] = turn
+    stored.save(tmp_path / "a.jpg", quality=95, subsampling=0, exif=exif)
+    photograph = image.read_photograph(tmp_path / "a.jpg")
+    with Image.open(tmp_path / "a.jpg") as shown:
+        upright = np.asarray(ImageOps.exif_transpose(shown)) / 255
+    assert photograph.values.shape == upright.shape
+    assert np.abs(photograph.values - upright).max() < 4 / 255  # two decoders
+    y, x = photograph.blocks.first
+    assert photograph.blocks.px == 8
+    assert (y in (0, upright.shape[0] % 8)) and (x in (0, upright.shape[1] % 8))
+    edges = np.zeros(upright.shape[:2], bool)
+    edges[y, x] = True
+    held = in_blocks(edges, photograph.blocks)
+    assert held[y : y + 8, x : x + 8].all() and held.sum() == 64

@@ -206,7 +206,7 @@ def _edge_noise(view, tiles):
     blocks = view.photograph.blocks
     if not blocks or not len(tiles):
         return np.zeros(len(tiles))
-    held = in_blocks(boundary(view.facet), blocks.px).reshape(-1)[tiles.pixel]
+    held = in_blocks(boundary(view.facet), blocks).reshape(-1)[tiles.pixel]
     return blocks.edge_noise * np.sqrt(np.add.reduceat(held.astype(float), tiles.start[:-1]) / np.diff(tiles.start))
 
 

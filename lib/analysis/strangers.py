@@ -88,16 +88,34 @@ class _Picture:
         return [(int(area[k]), label == k, middle[k]) for k in large]
 
     def look_closely(self, factors):
-        """Shadows end within a tile: the lamps' light at each strange pixel by itself."""
+        """(M, C), (M, C): of what lamps do not send at once, the least and the most on the facet's tiles nearby."""
         surface = surfaces.surface(self.view.model, factors.lamps)
         some = np.flatnonzero(self.strange)
         p, side = surfaces.backproject(surface, self.view.camera, self.facet[some], self.pixel[some])
         emitters, normals = lamps_.emitters(surface, factors.lamps), surfaces.side_normals(surface)
         direct = lamps_.direct(surface, emitters, p, normals, side, len(factors.lamps), n_samples=SAMPLES)
-        tile = self.which[some]
-        lamps = self.state.rho[self.group[some]] * ((direct - self.tiles.direct[tile]) @ self.state.E)
-        off = np.abs(self.seen[some] - self.metric.value(np.maximum(self.B[tile] + lamps, 0))).max(axis=1)
+        lamps = self.state.rho[self.group[some]] * (direct @ self.state.E)
+        low, high = (self.metric.value(lamps + light[some]) for light in self._indirect_nearby())
+        off = np.maximum(low - self.seen[some], self.seen[some] - high).max(axis=1)
         self.strange[some] = off > self.least[some]
+
+    def _indirect_nearby(self):
+        """(M, C), (M, C): the least and the most of what the lamps do not send at once, on the facet's tiles nearby."""
+        import cv2
+
+        state, tiles = self.state, self.tiles
+        light = np.maximum(self.B - state.rho[tiles.group] * (tiles.direct @ state.E), 0)
+        side = np.sqrt(np.diff(tiles.start))
+        low, high = light[self.which], light[self.which]
+        picture = self._drawn(light[self.which].astype(np.float32), 0)
+        for f in np.unique(self.facet[self.strange]):
+            mine = self.facet == f
+            reach = np.ones((2 * int(np.ceil(side[tiles.facet == f].max())) + 1,) * 2, np.uint8)
+            own = (self.owner == f)[..., None]
+            least = cv2.erode(np.where(own, picture, np.float32(np.inf)), reach)
+            most = cv2.dilate(np.where(own, picture, np.float32(-np.inf)), reach)
+            low[mine], high[mine] = (p.reshape(-1, light.shape[1])[self.pixel[mine]] for p in (least, most))
+        return low, high
 
     def is_thing(self, mine, several):
         """Whether such pixels (H, W) bool show a thing. several : only one that stands before several surfaces"""

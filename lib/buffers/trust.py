@@ -70,15 +70,17 @@ def _margins(edges, margin_px, blocks):
     for margin in range(1, margin_px + 1):
         near.append(cv2.dilate(edges.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0)
     if blocks:
-        near.append(near[-1] | in_blocks(edges, blocks.px))
+        near.append(near[-1] | in_blocks(edges, blocks))
     return near
 
 
-def in_blocks(edges, px):
-    """(H, W) bool: the block of px x px pixels, counted from the corner, holds an edge."""
-    rows, columns = (np.arange(0, n, px) for n in edges.shape)
-    held = np.logical_or.reduceat(np.logical_or.reduceat(edges, rows, axis=0), columns, axis=1)
-    return held.repeat(px, axis=0).repeat(px, axis=1)[: edges.shape[0], : edges.shape[1]]
+def in_blocks(edges, blocks):
+    """(H, W) bool: the block of pixels holds an edge. blocks : jpeg.Blocks"""
+    starts = [np.unique([0, *range(first, n, blocks.px)]) for first, n in zip(blocks.first, edges.shape, strict=True)]
+    held = np.logical_or.reduceat(np.logical_or.reduceat(edges, starts[0], axis=0), starts[1], axis=1)
+    for axis, start in enumerate(starts):
+        held = held.repeat(np.diff(start, append=edges.shape[axis]), axis=axis)
+    return held
 
 
 def _away_from_edges(facet, usable, near, facet_group, enough):

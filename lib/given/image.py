@@ -5,6 +5,7 @@ Arrays are indexed [y, x] or [y, x, channel], channels in the order R, G, B.
 
 import os
 import struct
+import warnings
 import zlib
 from dataclasses import dataclass
 from functools import cached_property
@@ -78,20 +79,65 @@ def _second_differences(values):
 def read_photograph(path) -> Photograph:
     """Read an 8- or 16-bit PNG, JPEG or TIFF, or an EXR. Truncated or damaged files are refused.
 
-    The orientation noted in a file is ignored: the camera's pixels are those that were stored.
+    The orientation that a file's EXIF notes is honoured, as viewers do: [0, 0] is the upper left corner of what they
+    show, and the camera's pixels are those.
     """
-    path = os.fspath(path)
+    path, turn = os.fspath(path), 1
     if path.lower().endswith(".exr"):
         values, bits = _linear_values(path), 0
     else:
-        stored = _display_values(path)
+        turn = _orientation(path)
+        stored = _turned(_display_values(path), turn)
         # OpenCV's BGR
         values, bits = stored[..., ::-1] / float(np.iinfo(stored.dtype).max), 8 * stored.dtype.itemsize
     in_file = values.shape[2]
     if in_file == 3 and (values[..., :1] == values).all():
         values = values[..., :1]
     data = Path(path).read_bytes() if path.lower().endswith((".jpg", ".jpeg")) else b""
-    return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file, jpeg.blocks(data))
+    blocks = jpeg.blocks(data)
+    if blocks is not None:
+        blocks = blocks._replace(first=_first_block(values.shape, blocks.px, turn))
+    return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file, blocks)
+
+
+# EXIF's orientations: axes swapped, then rows, then columns reversed
+TURNS = {
+    1: (False, False, False),
+    2: (False, False, True),
+    3: (False, True, True),
+    4: (False, True, False),
+    5: (True, False, False),
+    6: (True, False, True),
+    7: (True, True, True),
+    8: (True, True, False),
+}
+
+
+def _orientation(path) -> int:
+    """1 to 8, as EXIF has it; 1 where a file tells nothing sensible."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as picture:
+                turn = picture.getexif().get(274)
+    except Exception:  # whatever is wrong with the file or its EXIF: decoding says what matters
+        return 1
+    return turn if turn in TURNS else 1
+
+
+def _turned(values, turn):
+    """(H, W, ...) as stored -> as shown."""
+    swapped, rows, columns = TURNS[turn]
+    values = values.swapaxes(0, 1) if swapped else values
+    return values[:: -1 if rows else 1, :: -1 if columns else 1]
+
+
+def _first_block(shape, px, turn):
+    """(y, x) where the first whole block of a turned JPEG begins: blocks are counted from the corner stored first."""
+    _, rows, columns = TURNS[turn]
+    return shape[0] % px if rows else 0, shape[1] % px if columns else 0
 
 
 def _linear_values(path):

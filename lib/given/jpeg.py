@@ -14,7 +14,8 @@ TO_RGB = float((OF_CHROMA**2).mean())
 class Blocks(NamedTuple):
     """Squares of pixels that are coded together.
 
-    px : side;  noise : standard deviation (display) of what rounding adds to all pixels of one
+    px : side;  first : (y, x) corner of the first whole one
+    noise : standard deviation (display) of what rounding adds to all pixels of one
     edge_noise : of what it adds to a pixel where an edge runs through its block: ringing, and colours that run over
     colour : (C,) of what all blocks of one colour have in common
     """
@@ -23,6 +24,7 @@ class Blocks(NamedTuple):
     noise: float
     edge_noise: float
     colour: np.ndarray
+    first: tuple = (0, 0)
 
 
 def blocks(data: bytes) -> Blocks | None:
