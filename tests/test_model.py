@@ -2,7 +2,10 @@
 
 import json
 import struct
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ import pytest
 from lib.core.stage import BadInput
 from lib.given import model as models
 
+ROOT = Path(__file__).resolve().parents[1]
 CUBE = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]  # outwards
 
@@ -419,3 +423,23 @@ def test_a_hundred_thousand_triangles(tmp_path):
     model = models.load(tmp_path / "m.obj")
     assert time.process_time() - begin < 5
     assert len(model.triangles) == 2 * (n - 1) ** 2 and model.n_facets > 0.99 * len(model.triangles)
+
+
+@pytest.mark.parametrize("unit, metres", [("mm", 1e-3), ("in", 0.0254), ("km", 1e3)])
+def test_a_model_in_another_unit(tmp_path, unit, metres):
+    """The stage's file is the model in metres, with the same objects and groups."""
+    source = ROOT / "data/office/model.obj"
+    drawn = "\n".join(
+        " ".join(["v", *(repr(float(x) / metres) for x in line.split()[1:])]) if line.startswith("v ") else line
+        for line in source.read_text().splitlines()
+    )
+    (tmp_path / "model.obj").write_text(drawn)
+    out = tmp_path / "model.metres.glb"
+    command = ["--model", tmp_path / "model.obj", "--unit", json.dumps(unit), "--metres", out]
+    subprocess.run(
+        [sys.executable, ROOT / "stages/units.py", *command, "--report", tmp_path / "units.report.json"], check=True
+    )
+    made, true = models.load(out), models.load(source)
+    assert made.groups == true.groups and made.objects == true.objects and made.n_facets == true.n_facets
+    np.testing.assert_allclose(made.vertices.min(axis=0), true.vertices.min(axis=0), atol=1e-6)
+    np.testing.assert_allclose(np.sort(made.facet_area()), np.sort(true.facet_area()), rtol=1e-5)

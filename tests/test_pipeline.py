@@ -124,4 +124,7 @@ def test_the_doctor_says_what_to_do():
 
 def test_help_names_the_stages(run):
     said = run("make", "help").stdout
-    assert "stages: calibrate undistort undistort_right orient segment match" in said and "make <scene>/<stage>" in said
+    assert (
+        "stages: units calibrate undistort undistort_right orient segment match" in said
+        and "make <scene>/<stage>" in said
+    )

@@ -80,7 +80,7 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
     [
         (
             "bogus: 1",
-            "bogus: 1 is an unknown key; known are board, lens, lamps, reference, transfer, surfaces, explain, goals, "
+            "bogus: 1 is an unknown key; known are board, lens, lamps, reference, transfer, surfaces, explain, model, goals, "
             "augment, params",
         ),
         ("lamps: {lamp: [1, 1, 1]}\nlamps: {lamp: [1, 1, 1]}", "line 2: lamps: the key stands there twice"),
@@ -112,6 +112,10 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
             'transfer: "gama" is none of auto, gamma, linear, srgb, curve, linear_per_group, histogram, '
             "histogram_per_group, {gamma: 2.2}",
         ),
+        ("model: {unit: yards}", 'model.unit: "yards" is none of mm, cm, m, km, in, ft'),
+        ("model: {up: north}", 'model.up: "north" is none of x, y, z, -x, -y, -z'),
+        ("model: {size: 3}", "model.size: 3 is an unknown key; known are unit, up"),
+        ("model: mm", 'model: "mm" is not a mapping'),
         ("transfer: {gamma: 0}", "transfer.gamma: 0 is not a positive number"),
         ("transfer: {gamma: .nan}", "transfer.gamma: NaN is not a positive number"),
         ("transfer: {}", "transfer: {} is neither one gamma nor one curve"),

@@ -55,6 +55,7 @@ def test_what_is_left_out_and_why(folder):
     assert (
         explain(plan(folder))
         == """attic: index -> formfactors -> gather -> fit -> coverage -> render -> compare -> report
+  without units: no goal needs it
   without calibrate: no goal needs it
   without undistort: no goal needs it
   without undistort_right: no goal needs it
@@ -69,6 +70,16 @@ demands it; never for groups named diffuse
   without a second run of index, formfactors, gather, fit: only where the photograph puts the camera, an object or a \
 lamp elsewhere"""
     )
+
+
+def test_a_model_in_millimetres_is_read_in_metres_by_all_others(folder):
+    (folder / "scene.yaml").write_text("lamps: {lamp: [1, 1, 1]}\nmodel: {unit: mm}")
+    found = plan(folder)
+    assert found.planned[0] == "units"
+    readers = [name for name in found.planned if "model" in found.stages[name].reads]
+    assert {found.stages[name].reads["model"] for name in readers[1:]} == {"model.metres.glb"}
+    (folder / "scene.yaml").write_text("lamps: {lamp: [1, 1, 1]}\nmodel: {unit: m, up: z}")
+    assert "units" not in plan(folder).planned
 
 
 SEE = ["segment", "match", "reconstruct", "recognise"]

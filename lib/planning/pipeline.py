@@ -8,7 +8,19 @@ from lib.planning.files import here
 from lib.planning.yaml_file import read_yaml
 
 REPORTS = "*.report.json"  # of the planned stages above
-FACTS = ("board", "lens", "lamps", "lamp_groups", "reference", "transfer", "surfaces", "explain", "augment", "scene")
+FACTS = (
+    "board",
+    "lens",
+    "lamps",
+    "lamp_groups",
+    "reference",
+    "transfer",
+    "surfaces",
+    "explain",
+    "unit",
+    "augment",
+    "scene",
+)
 FILES = ("reads", "may_read", "writes", "may_write")
 ENTRY = ("script", *FILES, "beside", "refines", "facts", "params", "sweep", "needs")
 

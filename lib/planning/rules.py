@@ -10,9 +10,11 @@ from pathlib import Path
 
 from lib.given import causes, transfer_kinds
 from lib.given.kinds import KINDS
+from lib.given.units import METRES
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
-KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "goals", "augment", "params")
+KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "model", "goals", "augment", "params")
+AXES = ("x", "y", "z", "-x", "-y", "-z")
 TRANSFERS = ("auto", *transfer_kinds.KINDS)
 
 
@@ -105,6 +107,15 @@ def explain(value):
             yield "explain", cause, f"is none of {', '.join(causes.CAUSES)}"
         elif cause not in causes.BUILT:
             yield "explain", cause, "is not built yet"
+
+
+def model(value):
+    known = yield from _mapping("model", value)
+    for key in sorted(known.keys() - {"unit", "up"}):
+        yield f"model.{key}", known[key], "is an unknown key; known are unit, up"
+    for key, words in (("unit", METRES), ("up", AXES)):
+        if key in known and (not isinstance(known[key], str) or known[key] not in words):
+            yield f"model.{key}", known[key], f"is none of {', '.join(words)}"
 
 
 def transfer(value, scene):

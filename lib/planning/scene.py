@@ -15,6 +15,7 @@ from lib.planning.folder import folder_problems
 from lib.planning.rules import KEYS, show
 from lib.planning.yaml_file import read_yaml
 
+IN_METRES = "model.metres.glb"
 NO_FILE = "-"  # no scene has one of this name
 GOALS = ("materials.json", "rendered.png", "report.html")
 
@@ -31,6 +32,7 @@ class Scene:
     reference: dict = field(default_factory=dict)  # group -> [r, g, b] reflectance
     transfer: object = None  # a word, {"gamma": g} or {"curve": file}
     explain: object = None  # causes that may be taken, None: all
+    model: dict = field(default_factory=dict)  # unit of its lengths; which way is up
     surfaces: dict = field(default_factory=dict)  # group -> kind
     goals: tuple = GOALS
     augment: tuple = ()
@@ -51,12 +53,15 @@ class Scene:
     def views(self):
         """What pipeline.yaml's <model>, <left>, <left camera> and so on are in this scene (`views` below)."""
         curve = self.transfer.get("curve", NO_FILE) if isinstance(self.transfer, dict) else NO_FILE
-        return {"<model>": MODEL, "<curve>": curve, **views(self, "left"), **views(self, "right")}
+        model = MODEL if self.fact("unit") == "m" else IN_METRES
+        return {"<model>": model, "<curve>": curve, **views(self, "left"), **views(self, "right")}
 
     def fact(self, key):
         """What a stage is told of scene.yaml under this key of `facts`; None: nothing."""
         if key == "lamp_groups":
             return sorted(self.lamps)
+        if key == "unit":
+            return self.model.get("unit", "m")
         if key == "scene":
             return self.name
         if key == "transfer" and self.transfer is None:
@@ -138,6 +143,7 @@ def read(folder, stages) -> Scene:
         "reference": rules.reference,
         "transfer": lambda v: rules.transfer(v, bare),
         "explain": rules.explain,
+        "model": rules.model,
         "surfaces": rules.surfaces,
         "goals": lambda v: rules.goals(v, outputs, bare),
         "augment": lambda v: rules.augment(v, bare),

@@ -17,8 +17,8 @@ from lib.given.model.obj import read_obj
 MARKED = {b"glTF": read_glb}  # formats by their first bytes; what has no mark is read as OBJ
 
 
-def load(path) -> Model:
-    """Read and check model.obj or model.glb.
+def load(path, metres=1.0) -> Model:
+    """Read and check model.obj or model.glb. metres : the unit of its lengths
 
     Refused, naming file, line (or primitive) and value: a vertex that is not finite, an index out of range, a face
     without material, no face at all.  Polygons without area are dropped; polygons that are not planar and those that
@@ -31,4 +31,5 @@ def load(path) -> Model:
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
     read = next((reader for start, reader in MARKED.items() if content.startswith(start)), read_obj)
-    return build(path, read(path, content))
+    polygons = read(path, content)
+    return build(path, polygons._replace(vertices=metres * polygons.vertices))

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.given.cameras import Camera, matrix_from_rt
+from lib.given.units import METRES
 from lib.vision.refinement.edges import pyramid
 from lib.vision.registration.motions import State
 from lib.vision.registration.register import COARSEST, SEARCH_PX, Registrar, Seen, seen
 
-UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048, "km": 1e3}
 CLEAR = 0.3  # so much more of the edges must be there
 QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # Y up to Z up
 ROLLS = {"a quarter to the left": 90, "a quarter to the right": -90, "upside down": 180}
@@ -45,9 +45,10 @@ def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
 
 def _undone(model, camera):
     """(cause, in words, model, camera) without each mistake."""
-    for unit, metres in UNITS.items():
-        text = f"the model is {np.ptp(model.vertices, axis=0).max():,.4g} m large: with its lengths in {unit}"
-        yield "units", text, _turned(model, metres * np.eye(3)), camera
+    for unit in METRES.keys() - {"m"}:
+        size = np.ptp(model.vertices, axis=0).max()
+        text = f"the model is {size:,.4g} m large: with its lengths in {unit} (model: {{{{unit: {unit}}}}})"
+        yield "units", text, _turned(model, METRES[unit] * np.eye(3)), camera
     for turn, axis in ((QUARTER, "Y"), (QUARTER.T, "-Y")):
         yield "up_axis", f"the model stands on its side: with {axis} as its up axis", _turned(model, turn), camera
     for words, degrees in ROLLS.items():
