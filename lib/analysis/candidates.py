@@ -15,7 +15,7 @@ NATS = 10.0  # by which a more complex explanation must win, and so much per til
 # neighbouring tiles are no independent witnesses, and what has many free numbers can bend to them
 NATS_PER_TILE = 0.0065
 USUAL = 3  # free numbers that an explanation has more
-ROUGH = {"tolerance": 1e-3, "max_iterations": 15}  # of fits that are only compared
+ROUGH = {"tolerance": 1e-3, "max_iterations": 60}  # of fits that are only compared; valleys of white rooms are long
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,19 @@ def random_room(seed, *, size=(640, 480)) -> Recipe:
             return recipe
 
 
+def white_room(which, *, size=(400, 300)) -> Recipe:
+    """A white room with a narrow gap: a board before a wall, or boards above each other.
+
+    which : "<gap in mm>-<seed>", or "shelves-<seed>": four boards 20 mm apart
+    """
+    random = np.random.default_rng(list(f"white-{which}".encode()))
+    gap = which.partition("-")[0]
+    while True:
+        recipe = _photographed(which, size, _with_gap(random, gap), random, _whites)
+        if recipe:
+            return recipe
+
+
 # ---- furniture ----
 
 
@@ -114,6 +127,29 @@ def _furnished(random) -> _Room:
         groups = len({p.group for p in r.polygons})
         if GROUPS[0] <= groups <= GROUPS[1]:
             return r
+
+
+def _with_gap(random, gap) -> _Room:
+    """A room with a box, a lamp, and boards that leave a narrow gap at the far wall."""
+    while True:
+        X, Y = random.uniform(3.2, 4.5), random.uniform(3.0, 4.0)
+        r = _Room(round(X, 2), round(Y, 2), round(random.uniform(2.4, 2.8), 2), random)
+        r.polygons += room(r.X, r.Y, r.Z)
+        r.taken.append((np.zeros(3), np.array([0.9, 0.9, r.Z])))
+        a, w, z = r.number(0.9, 1.4), r.number(1.0, 1.6), r.number(0.7, 1.0)
+        if gap == "shelves":
+            for k in range(4):
+                low = (a, r.Y - 0.3, z + 0.035 * k)
+                r.polygons += box(f"board-{k}", "board", low, (a + w, r.Y, low[2] + 0.015))
+        else:
+            front = r.Y - 1e-3 * float(gap)
+            r.polygons += box("board", "board", (a, front - 0.02, z), (a + w, front, z + r.number(0.6, 0.9)))
+        try:
+            _free_standing(r, 1)
+            _lamps(r)
+        except _NoPlace:
+            continue
+        return r
 
 
 def _walls(r):
@@ -244,7 +280,12 @@ def _paints(groups, random) -> dict:
     return out
 
 
-def _photographed(seed, size, r, random) -> Recipe | None:
+def _whites(groups, random) -> dict:
+    """group -> rho_d: the white of a wall for all of them."""
+    return {group: (round(float(random.uniform(0.8, 0.88)), 3),) * 3 for group in groups}
+
+
+def _photographed(seed, size, r, random, paints=_paints) -> Recipe | None:
     """The recipe of a furnished room; None where its camera does not see enough."""
     T_room, polygons = _in_place(r, random)
     eye = np.array([random.uniform(0.3, 0.6), random.uniform(0.3, 0.6), random.uniform(1.35, 1.85)])
@@ -256,7 +297,7 @@ def _photographed(seed, size, r, random) -> Recipe | None:
     lamps = [g for g in groups if g.startswith("lamp")]
     if not _seen(polygons, number, r.free, [g for g in groups if g not in lamps], size):
         return None
-    materials = _paints([g for g in groups if g not in lamps], random)
+    materials = paints([g for g in groups if g not in lamps], random)
     tints = {g: (1.0, random.uniform(0.85, 1.0), random.uniform(0.65, 1.0)) for g in lamps}
     tints = {g: tuple(np.round(random.uniform(0.6, 1.4) * np.array(t), 3)) for g, t in tints.items()}
     E = _exposure(polygons, materials, tints, number, p_world, random)

@@ -13,7 +13,7 @@ floor and touch the walls.
 from dataclasses import replace
 
 from lib.synthetic import mirrors_and_gloss, offices, stereo, textured
-from lib.synthetic.random_rooms import random_room
+from lib.synthetic.random_rooms import random_room, white_room
 from lib.synthetic.recipe import Recipe
 
 _DIFFUSE = {
@@ -44,12 +44,15 @@ _KINDS = {
 KIND_NAMES = tuple(_KINDS)  # mirrors, gloss, textures
 _RECIPES = _DIFFUSE | _STEREO | _KINDS
 ALL_NAMES = tuple(_RECIPES)
-RANDOM = {"room": (640, 480), "small": (400, 300)}  # room-<seed> and small-<seed> are random rooms
+# room-<seed> and small-<seed> are random rooms; white-<gap in mm>-<seed> and white-shelves-<seed> white ones with a gap
+RANDOM = {"room": (640, 480), "small": (400, 300), "white": (400, 300)}
 
 
 def make(name) -> Recipe:
     """The recipe of one scene.  Raises KeyError for a name that is neither in `ALL_NAMES` nor a random room's."""
     kind, _, seed = name.partition("-")
+    if kind == "white" and seed:
+        return replace(white_room(seed, size=RANDOM[kind]), name=name)
     if kind in RANDOM and seed:
         return replace(random_room(seed, size=RANDOM[kind]), name=name)
     return _RECIPES[name]()

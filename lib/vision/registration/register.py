@@ -151,9 +151,10 @@ class Registrar:
             sight = self.sight(state)
             selection = Selection(self.world, sight)
             worth = {block: selection.worth(blocks, block) for block in blocks}
-            worst = min(worth, key=worth.get, default=None)
+            spare = {block: selection.spare(nats, block) for block, nats in worth.items()}
+            worst = min(spare, key=spare.get, default=None)
             rivals = selection.instead(blocks)
-            if worst is not None and worth[worst] < ENOUGH:
+            if worst is not None and spare[worst] < 0:
                 gone, new = worst, []
             elif not swapped and any(nats > worth[CENTRE if rival == POSE else POSE] for rival, nats in rivals.items()):
                 gone, new = next(b for b in blocks if b in (POSE, CENTRE)), list(rivals)

@@ -14,6 +14,8 @@ from lib.vision.registration.motions import Block
 from lib.vision.registration.pieces import REACH_PX, mean_by
 
 ENOUGH = 10.0  # nats
+OF_CAMERA = 20.0  # nats of the pose or the principal point where all has settled: the edges of a bare room are few, and
+# one of them that is badly seen weighs much
 OFFERED = 5.0  # nats of an object while causes are looked for: it is judged again where all has settled
 LINES, SEEN_PX = 2, 60.0  # of an object, at least, to be moved
 TURN_LINES = 5
@@ -266,6 +268,11 @@ class Selection:
             return self._worth_of_object(gone, rest, x)
         full = self.held_out(blocks, zero, self._zeros(blocks))[0]
         return full - max(self.held_out(rest, x, start)[0] for start in (self._zeros(rest), None))
+
+    @staticmethod
+    def spare(nats, block):
+        """By how much a cause wins beyond what it must."""
+        return nats - (OF_CAMERA if block in (POSE, CENTRE) else ENOUGH)
 
     def instead(self, blocks):
         """{block: nats} of the camera's other cause in place of the one that was taken, against neither."""
