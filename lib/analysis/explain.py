@@ -13,6 +13,7 @@ from lib.analysis import responses, vignetting
 from lib.analysis.agreement import fits, out_of_range
 from lib.analysis.candidates import NATS, Candidate, enough
 from lib.analysis.equations import Unknowns
+from lib.analysis.facts import USUAL_GAMMA
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import fit
 from lib.analysis.problem import Problem, Result
@@ -129,8 +130,7 @@ def _begun(problem: Problem, gamma, trace) -> Candidate:
     gamma and the reflectances share a valley: dark photographs have another minimum beyond gamma 4.
     """
     first = Candidate.of(problem, trace=trace, gamma=gamma)
-    searched = problem.fit_transfer and problem.transfer.kind == "gamma"
-    if not searched or responses.promise(first) < enough(problem):
+    if not _searches_gamma(problem) or responses.promise(first) < enough(problem):
         return first
     others = [Candidate.of(problem, gamma=start) for start in STARTS]
     return max([first, *others], key=lambda c: c.evidence.nats)
@@ -146,7 +146,7 @@ def _climbed(best: Candidate, leave: Leave):
             functions = (best, *responses.fitted(best))
             candidates["response"] = responses.simplest(functions) if leave.response else best
         if "vignetting" in wanted:
-            candidates["vignetting"] = vignetting.fitted(best, leave.lens, leave.pixel)
+            candidates["vignetting"] = _vignetted(best, leave)
         better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}
         if not better:
             break
@@ -156,6 +156,19 @@ def _climbed(best: Candidate, leave: Leave):
         best, tried = better[cause], {t.cause for t in taken}
         functions = functions if cause == "response" else ()
     return best, taken, functions
+
+
+def _vignetted(best: Candidate, leave: Leave) -> Candidate:
+    """The fit with a vignetted lens, from other gammas as well where the first leaves something to explain."""
+    first = vignetting.fitted(best, leave.lens, leave.pixel)
+    if not _searches_gamma(first.problem) or responses.promise(first) < enough(first.problem):
+        return first
+    other = vignetting.fitted_from(best, (*STARTS, USUAL_GAMMA), leave.lens, leave.pixel)
+    return max(first, other, key=lambda c: c.evidence.nats)
+
+
+def _searches_gamma(problem: Problem) -> bool:
+    return problem.fit_transfer and problem.transfer.kind == "gamma"
 
 
 def _promising(found: Candidate, leave: Leave, tried) -> dict:

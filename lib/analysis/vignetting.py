@@ -48,9 +48,9 @@ def promise(found: Candidate, lens: Lens, pixel) -> float:
 
 
 def fitted(found: Candidate, lens: Lens, pixel) -> Candidate:
-    """The fit with a vignetted lens; its problem has the lens's gain. `taken` holds k."""
+    """The fit with a vignetted lens; its problem has the lens's gain. `taken` holds k, where that of `found` begins."""
     problem, at = found.problem, found.result.at
-    r2, k = _means(problem, lens.radius2(pixel)), np.zeros(TERMS)
+    r2, k = _means(problem, lens.radius2(pixel)), found.taken.get("vignetting", {"k": np.zeros(TERMS)})["k"]
     start = found.start
     for _ in range(ROUNDS):
         trial = replace(problem, cause=_cause(problem, at, r2))
@@ -63,6 +63,16 @@ def fitted(found: Candidate, lens: Lens, pixel) -> Candidate:
             break
     last = replace(problem, cause=_cause(problem, at, r2))
     return Candidate.of(last, found.taken | {"vignetting": {"k": k, "centre_px": lens.centre}}, start=start)
+
+
+def fitted_from(found: Candidate, gammas, lens: Lens, pixel) -> Candidate:
+    """The same from where one of these gammas suits best: gamma and the lens's shadow share a valley.
+
+    A gamma that was fitted without the shadow may lie far from the truth, and a shadow that suits it, too.
+    """
+    told = [replace(found.problem, transfer=Transfer("gamma", gamma), fit_transfer=False) for gamma in gammas]
+    best = max((fitted(Candidate.of(p, found.taken), lens, pixel) for p in told), key=lambda c: c.evidence.nats)
+    return fitted(replace(best, problem=replace(best.problem, fit_transfer=True)), lens, pixel)
 
 
 def corrected(gathered: Gathered, lens: Lens, k, transfer: Transfer) -> Gathered:

@@ -7,6 +7,7 @@ form_factors   rays, hemicube and analytic factors: an empty box against analyti
 solvers        the light balance of `office` at rho 0.5, 0.9, 0.99 against elimination
 meshes         uniform and adapted patches, `office`, against a fine mesh
 fit            paper, damped and Gauss-Newton, and the whole chain, on `office` and `gallery-white` against truth/
+causes         what is put right before materials: a camera 2 px off, vignetting, a film curve, noise
 segment        the energy of eq. 2.1 beside plain merging and Pottslab (where it is installed: pip install pottslab)
 facets         planes of true regions by borders, intensities and both, against truth
 recognise      the pose by the paper's gradient and by the trust region; seeded trials of the search
@@ -286,6 +287,19 @@ def plot_fit(rows, axes):
     fit.plot(rows, axes)
 
 
+def cause_curves(log):
+    """See tests/bench/cause_curves.py."""
+    from tests.bench import cause_curves as causes
+
+    return causes.measure(log)
+
+
+def plot_causes(rows, axes):
+    from tests.bench import cause_curves as causes
+
+    causes.plot(rows, axes)
+
+
 # -- all together
 
 CURVES = {
@@ -293,6 +307,7 @@ CURVES = {
     "solvers": (solver_curves, plot_solvers, 3),
     "meshes": (mesh_curves, plot_meshes, 2),
     "fit": (fit_curves, plot_fit, 2),
+    "causes": (cause_curves, plot_causes, 2),
 }
 
 ALONE = {

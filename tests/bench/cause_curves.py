@@ -1,0 +1,141 @@
+"""Error against CPU time of what is put right before materials are looked for (for tests/bench).
+
+pose        `office` seen from 2 px beside: what is left of the error, px, by the width at which edges are placed
+vignetting  cos^4, 37 degrees in the corner, by the number of radial terms: reflectances
+response    a film curve, by the function that is fitted: reflectances
+noise       3 and 10 % of displayed values, tiles as means and as medians: reflectances
+
+The shipped photographs, changed here.  Truth is read to score, and by nothing else.
+"""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from tests.bench.fit_curves import SETTINGS, Case
+
+HEAD = ("cause", "scene", "setting", "cpu_s", "error", "unit")
+DRAWS = 6
+WIDTHS = (160, 320, 640)  # px, at which edges are placed
+
+
+def measure(log):
+    """Rows of HEAD."""
+    cases = [Case(scene) for scene in ("office", "gallery-white")]
+    rows = list(poses(cases[0]))
+    for case in cases:
+        light = case.photograph.values**case.gamma
+        case.problem(*SETTINGS[0])  # warm-up
+        for of_cause in (vignetting, response, noise):
+            for cause, setting, cpu_s, error in of_cause(case, light):
+                rows.append((cause, case.name, setting, cpu_s, error, "1"))
+    for row in rows:
+        log(*row)
+    return HEAD, rows
+
+
+def poses(case):
+    """The camera off by 2 px at random; the error is that of the model's points in the picture, its median."""
+    from lib.given.cameras import Camera, matrix_from_rt
+    from lib.vision.registration import register
+
+    usual, random = (register.PLACING_PX, register.SEARCH_PX), np.random.default_rng(7)
+    points = case.model.vertices
+    shown = lambda T: _project(case.camera.K, T, points)
+    true, twists = case.camera.T_cam_world, []
+    while len(twists) < DRAWS:
+        twist = random.normal(size=6) * [1, 1, 1, 3, 3, 3]
+        off = np.median(np.linalg.norm(shown(matrix_from_rt(1e-4 * twist) @ true) - shown(true), axis=1))
+        twists.append(1e-4 * twist * 2 / off)
+    register.register(case.model, case.camera, case.photograph)  # warm-up
+    for width in WIDTHS:
+        register.PLACING_PX, register.SEARCH_PX = width, min(width, usual[1])
+        left, began = [], time.process_time()
+        for twist in twists:
+            given = matrix_from_rt(twist) @ true
+            camera = Camera(case.camera.K, case.camera.width, case.camera.height, given)
+            found = register.register(case.model, camera, case.photograph)
+            T = given if found.pose is None else matrix_from_rt(found.pose) @ given
+            left.append(np.median(np.linalg.norm(shown(T) - shown(true), axis=1)))
+        yield "pose", case.name, f"{width} px", (time.process_time() - began) / DRAWS, float(np.median(left)), "px"
+    register.PLACING_PX, register.SEARCH_PX = usual
+
+
+def _project(K, T, points):
+    q = (points @ T[:3, :3].T + T[:3, 3]) @ K.T
+    return (q[:, :2] / q[:, 2:])[q[:, 2] > 0.1]
+
+
+def vignetting(case, light):
+    """By none to four radial terms."""
+    from lib.analysis import vignetting as own
+    from lib.analysis.candidates import Candidate
+    from lib.given.falloff import Lens
+
+    H, W = light.shape[:2]
+    x, y = np.meshgrid(np.arange(W) - (W - 1) / 2, np.arange(H) - (H - 1) / 2)
+    tangent = np.hypot(x, y) / np.hypot((W - 1) / 2, (H - 1) / 2) * np.tan(np.radians(37))
+    problem, tiles = _problem(case, (light / (1 + tangent**2)[..., None] ** 2) ** (1 / case.gamma))
+    lens, usual = Lens((case.camera.K[0, 2], case.camera.K[1, 2]), (W, H)), own.TERMS
+    for terms in (0, 1, 2, 3, 4):
+        began, own.TERMS = time.process_time(), terms
+        found = Candidate.of(problem)
+        found = own.fitted(found, lens, tiles.pixel) if terms else found
+        yield "vignetting", f"{terms} terms", time.process_time() - began, case.errors(found.result.state)[0]
+    own.TERMS = usual
+
+
+def response(case, light):
+    """Hable's filmic curve, fitted as gamma, sRGB and a free curve."""
+    from lib.analysis.candidates import Candidate
+    from lib.given.transfer import Transfer
+
+    shape = lambda v: (v * (0.22 * v + 0.03) + 0.002) / (v * (0.22 * v + 0.3) + 0.06) - 1 / 30
+    problem, _ = _problem(case, (shape(4 * light) / shape(4.0)) ** (1 / 2.2))
+    for function in (Transfer("gamma", 2.2), Transfer("srgb"), Transfer("gamma", 2.2).as_curve()):
+        began = time.process_time()
+        told = replace(problem, transfer=function, fit_transfer=len(function.parameters) > 0)
+        found = Candidate.of(told)
+        yield "response", function.kind, time.process_time() - began, case.errors(found.result.state)[0]
+
+
+def noise(case, light):
+    """Of the displayed values, and of as much in the sensor's light."""
+    from lib.analysis.candidates import Candidate
+
+    shown, random = light ** (1 / case.gamma), np.random.default_rng(3)
+    for sigma in (0.03, 0.1):
+        noisy, _ = _problem(case, shown + random.normal(0, sigma, shown.shape))
+        for name, medians in (("means", False), ("medians", True)):
+            began = time.process_time()
+            found = Candidate.of(replace(noisy, noisy=medians))
+            yield f"noise {sigma:g}", name, time.process_time() - began, case.errors(found.result.state)[0]
+
+
+def _problem(case, values):
+    """(Problem, Tiles) of the case with another photograph (H, W, C), rounded to 8 bits."""
+    from lib.buffers import edges, index_buffer, trust
+
+    before, mask = case.photograph, case.trusted
+    case.photograph = replace(before, values=np.round(255 * np.clip(values, 0, 1)) / 255)
+    index = index_buffer.reference(case.model, case.camera)
+    hidden = edges.visible_edges(case.model, case.camera, index.facet, index.depth)
+    case.trusted = trust.trusted(case.photograph, case.facet, hidden, case.model.facet_group).mask
+    problem, _ = case.problem(*SETTINGS[2])
+    case.photograph, case.trusted = before, mask
+    return problem, case.found.tiles
+
+
+def plot(rows, axes):
+    """Left: the pose; right: reflectances, one line for each cause and scene."""
+    for cause, scene in dict.fromkeys((r[0], r[1]) for r in rows):
+        mine = [r for r in rows if r[:2] == (cause, scene)]
+        ax = axes[0] if cause == "pose" else axes[1]
+        ax.loglog(
+            [max(r[3], 1e-3) for r in mine], [max(r[4], 1e-4) for r in mine], "-o", ms=3, label=f"{cause}, {scene}"
+        )
+        for r in mine:
+            ax.annotate(r[2], (max(r[3], 1e-3), max(r[4], 1e-4)), fontsize=6)
+    axes[0].set(title="camera 2 px off", xlabel="CPU s", ylabel="left of the error, px")
+    axes[1].set(title="light, lens, noise", xlabel="CPU s of the fit", ylabel="mean relative reflectance error")
