@@ -146,7 +146,8 @@ def _climbed(best: Candidate, leave: Leave):
             functions = (best, *responses.fitted(best))
             candidates["response"] = responses.simplest(functions) if leave.response else best
         if "vignetting" in wanted:
-            candidates["vignetting"] = _vignetted(best, leave)
+            shadow = _vignetted(best, leave)
+            candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
         better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}
         if not better:
             break

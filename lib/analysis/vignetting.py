@@ -17,6 +17,7 @@ from lib.given.view import View
 
 TERMS = 3
 SPREAD = 1.0  # standard deviation of each k before anything is seen
+RISES = 0.05  # of V outwards, at most
 ROUNDS = 4  # of fitting and dividing
 SETTLED = 2e-3  # change of V at the corner that ends them
 
@@ -73,6 +74,14 @@ def fitted_from(found: Candidate, gammas, lens: Lens, pixel) -> Candidate:
     told = [replace(found.problem, transfer=Transfer("gamma", gamma), fit_transfer=False) for gamma in gammas]
     best = max((fitted(Candidate.of(p, found.taken), lens, pixel) for p in told), key=lambda c: c.evidence.nats)
     return fitted(replace(best, problem=replace(best.problem, fit_transfer=True)), lens, pixel)
+
+
+def is_shadow(found: Candidate) -> bool:
+    """A lens's shadow only deepens outwards; what does not is something else that the terms have bent to."""
+    k = found.taken["vignetting"]["k"] + found.result.state.cause
+    r2 = np.linspace(0, 1, 101)
+    V = 1 + sum(value * r2 ** (j + 1) for j, value in enumerate(k))
+    return bool((V - np.minimum.accumulate(V)).max() < RISES)
 
 
 def corrected(gathered: Gathered, lens: Lens, k, transfer: Transfer) -> Gathered:
