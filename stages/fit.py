@@ -37,6 +37,7 @@ def options():
         may_write="specular mirror camera_out model_out causes_out",
     )
     parser.add_argument("--lamps", type=stage.json_option, required=True)
+    parser.add_argument("--place-sigma-m", type=stage.json_option, default={}, help="of lamps; default: .1")
     parser.add_argument("--reference", type=stage.json_option, default={})
     parser.add_argument("--transfer", type=stage.json_option, default=None, help="default: auto, linear for EXR")
     parser.add_argument("--surfaces", type=stage.json_option, default={})
@@ -129,6 +130,7 @@ def task_of(opt):
         view=functools.cache(lambda: view_of(opt, factors)) if shown else None,
         audit=audit,
         lamps=opt.lamps,
+        place_sigma_m=opt.place_sigma_m,
         surfaces=opt.surfaces,
         transfer=opt.transfer,
         causes=opt.explain,

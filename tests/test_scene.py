@@ -112,6 +112,13 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
             'transfer: "gama" is none of auto, gamma, linear, srgb, curve, linear_per_group, histogram, '
             "histogram_per_group, {gamma: 2.2}",
         ),
+        ("lamps: {lamp: {place_sigma_m: 0.1}}", "lamps.lamp.emittance: is not a list of three numbers or `unknown`"),
+        (
+            "lamps: {lamp: {emittance: unknown, place_sigma_m: 0}}",
+            "lamps.lamp.place_sigma_m: 0 is not a positive length",
+        ),
+        ("lamps: {lamp: {emittance: unknown, lobe: unknown}}", 'lamps.lamp.lobe: "unknown" is not built yet'),
+        ("lamps: {lamp: {emittance: unknown, size: 1}}", "lamps.lamp.size: 1 is an unknown key; known are emittance"),
         ("model: {unit: yards}", 'model.unit: "yards" is none of mm, cm, m, km, in, ft'),
         ("model: {up: north}", 'model.up: "north" is none of x, y, z, -x, -y, -z'),
         ("model: {size: 3}", "model.size: 3 is an unknown key; known are unit, up"),

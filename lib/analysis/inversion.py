@@ -34,7 +34,8 @@ class Task:
 
     view : reads photograph, model, camera and facet.png, which only some scenes need; None where they are not there
     audit : the light of all pixels, or None
-    lamps, surfaces, transfer, causes : as scene.yaml has them (causes: `explain`, or None);  gamma : where it starts
+    lamps, place_sigma_m, surfaces, transfer, causes : as scene.yaml has them (causes: `explain`, or None)
+    gamma : where it starts
     may_refine : camera and model are as given, and others may be asked for;  refined : [Cause] that were, else
     options : of gauss_newton.gauss_newton
     """
@@ -46,6 +47,7 @@ class Task:
     view: Callable[[], View] | None
     audit: Gathered | None
     lamps: dict
+    place_sigma_m: dict
     surfaces: dict
     transfer: object
     causes: list | None
@@ -156,7 +158,7 @@ def _by_light(task, explained, audit):
     """The model with the lamp where its light has it, or None."""
     from lib.analysis import refine
 
-    refined = refine.by_light(task.view(), task.factors, task.found, explained, audit)
+    refined = refine.by_light(task.view(), task.factors, task.found, explained, audit, task.place_sigma_m)
     return refined if refined is not None and refined.keeps_parts else None
 
 

@@ -67,8 +67,10 @@ def by_edges(view: View, places: Places) -> Refinement:
     )
 
 
-def by_light(view: View, factors: FormFactors, found: Gathered, explained: Explained, audit: Audit):
+def by_light(view: View, factors: FormFactors, found: Gathered, explained: Explained, audit: Audit, sigma_m):
     """Refinement by the lamp that its light puts elsewhere; None where not all comes to fit by that.
+
+    sigma_m : {lamp: how surely it stands where it is drawn}, LAMP_PLACE_M where nothing is said
 
     What a mirror or a lobe throws may look like a lamp that was moved. But then their own pixels still do not fit.
     """
@@ -77,11 +79,12 @@ def by_light(view: View, factors: FormFactors, found: Gathered, explained: Expla
         return None
     lamps = lamp_place.Lamps.of(DirectLight(view, factors, found))
     least = max(enough(given.problem), sum(taken.nats for taken in explained.taken))
-    promises = {lamp: lamp_place.promise(given, lamps, lamp, LAMP_PLACE_M) for lamp in lamps.things}
+    prior = lambda lamp: sigma_m.get(lamp, LAMP_PLACE_M)
+    promises = {lamp: lamp_place.promise(given, lamps, lamp, prior(lamp)) for lamp in lamps.things}
     lamp = max(promises, key=promises.get, default=None)
     if lamp is None or promises[lamp] < enough(given.problem):
         return None
-    best = lamp_place.fitted(given, lamps, lamp, LAMP_PLACE_M)
+    best = lamp_place.fitted(given, lamps, lamp, prior(lamp))
     nats = best.evidence.nats - given.evidence.nats
     if nats < least:
         return None

@@ -13,6 +13,7 @@ FACTS = (
     "lens",
     "lamps",
     "lamp_groups",
+    "place_sigma_m",
     "reference",
     "transfer",
     "surfaces",

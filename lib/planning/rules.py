@@ -88,9 +88,26 @@ def lens(value):
 
 
 def lamps(value):
-    for name, emittance in (yield from _mapping("lamps", value)).items():
+    for name, lamp in (yield from _mapping("lamps", value)).items():
+        where, emittance = f"lamps.{name}", lamp
+        if isinstance(lamp, dict):
+            where, emittance = f"{where}.emittance", lamp.get("emittance")
+            yield from _more_of_lamp(f"lamps.{name}", lamp)
         if emittance != "unknown":
-            yield from _three(f"lamps.{name}", emittance, 0, math.inf, " or `unknown`")
+            yield from _three(where, emittance, 0, math.inf, " or `unknown`")
+
+
+def _more_of_lamp(where, lamp):
+    """What a lamp's mapping says beside its emittance."""
+    for key, value in lamp.items():
+        if key in ("lobe", "gradient"):
+            yield f"{where}.{key}", value, "is not built yet"
+        elif key not in ("emittance", "place_sigma_m"):
+            known = "emittance, place_sigma_m, lobe, gradient"
+            yield f"{where}.{key}", value, f"is an unknown key; known are {known}"
+    sigma = lamp.get("place_sigma_m", 1.0)
+    if not (finite(sigma) and sigma > 0):
+        yield f"{where}.place_sigma_m", sigma, "is not a positive length in metres"
 
 
 def reference(value):

@@ -28,7 +28,7 @@ class Scene:
     folder: Path
     board: dict | None = None
     lens: str = "LENSMODEL_OPENCV8"
-    lamps: dict = field(default_factory=dict)  # group -> [r, g, b] emittance, or "unknown"
+    lamps: dict = field(default_factory=dict)  # group -> [r, g, b] emittance, or "unknown"; or a mapping with more
     reference: dict = field(default_factory=dict)  # group -> [r, g, b] reflectance
     transfer: object = None  # a word, {"gamma": g} or {"curve": file}
     explain: object = None  # causes that may be taken, None: all
@@ -60,6 +60,11 @@ class Scene:
         """What a stage is told of scene.yaml under this key of `facts`; None: nothing."""
         if key == "lamp_groups":
             return sorted(self.lamps)
+        if key == "lamps":
+            return {name: lamp["emittance"] if isinstance(lamp, dict) else lamp for name, lamp in self.lamps.items()}
+        if key == "place_sigma_m":
+            lamps = {name: lamp for name, lamp in self.lamps.items() if isinstance(lamp, dict)}
+            return {name: lamp[key] for name, lamp in lamps.items() if key in lamp}
         if key == "unit":
             return self.model.get("unit", "m")
         if key == "scene":
