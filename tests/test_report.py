@@ -1,6 +1,7 @@
 """Bad input, whole-or-absent files, and the reports: from outside, by hand and at the edge."""
 
 import hashlib
+import json
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 from lib.core import artefact, stage
 from lib.core.report import Report
 from lib.core.stage import BadInput
+from lib.verdict import stage_reports
 
 STAGE = """
 import argparse, os, signal, sys, time
@@ -306,3 +308,19 @@ def test_a_stage_called_from_python_does_not_end_the_process():
     called = []
     stage.run(called.append, stage.parser("x"), ["--report", "r.json"])
     assert called[0].report == "r.json"
+
+
+def test_a_stage_that_ran_twice_took_the_time_of_both(tmp_path):
+    (tmp_path / "draft").mkdir()
+    content = {"status": "converged", "cpu_s": 3.0, "wall_s": 2.0, "imports_s": 0.5, "imports_wall_s": 0.25}
+    for folder, refined in ((tmp_path / "draft", None), (tmp_path, "refined.glb")):
+        said = content | {
+            "status": "draft" if refined is None else "converged",
+            "arguments": {"refined_model": refined},
+        }
+        (folder / "fit.report.json").write_text(json.dumps(said))
+    report = stage_reports.read(tmp_path / "fit.report.json")
+    assert (report.status, report.cpu_s, report.wall_s) == ("converged", 6.0, 4.0)
+    assert report.apart["imports"] == (1.0, 0.5) and report.waited_s == 4.5
+    (tmp_path / "fit.report.json").write_text(json.dumps(content | {"arguments": {"refined_model": None}}))
+    assert stage_reports.read(tmp_path / "fit.report.json").cpu_s == 3.0  # taken over: it is the first run's own

@@ -82,8 +82,24 @@ class StageReport:
 
 
 def read(path) -> StageReport:
-    """BadInput names file, field and value."""
-    return of(artefact.read_json(path), path)
+    """Of a stage that ran again with a refined camera or model: with the time of its first run, in draft/ beside it.
+
+    BadInput names file, field and value.
+    """
+    report, first = of(artefact.read_json(path), path), Path(path).parent / "draft" / Path(path).name
+    again = any(value for name, value in report.arguments.items() if name.startswith("refined_"))
+    return _together(report, of(artefact.read_json(first), first)) if again and first.exists() else report
+
+
+def _together(report, first):
+    """The report of two runs: what the second says, and the time of both."""
+    added = lambda a, b: (a or 0) + (b or 0)
+    apart = dict(first.apart)
+    for label, seconds in report.apart.items():
+        before = apart.get(label, Seconds(0, 0))
+        apart[label] = Seconds(added(seconds.cpu, before.cpu), added(seconds.wall, before.wall))
+    time = {key: added(getattr(report, key), getattr(first, key)) for key in ("cpu_s", "wall_s")}
+    return replace(report, **time, peak_mb=max(report.peak_mb or 0, first.peak_mb or 0), apart=apart)
 
 
 def of(content, path) -> StageReport:
