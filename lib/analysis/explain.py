@@ -22,6 +22,7 @@ from lib.given.falloff import Lens
 from lib.given.view import View
 
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
+HOPELESS = 0.015  # display, median of the tiles: no other start of gamma explains what is so far off
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
 
@@ -130,7 +131,7 @@ def _begun(problem: Problem, gamma, trace) -> Candidate:
     gamma and the reflectances share a valley: dark photographs have another minimum beyond gamma 4.
     """
     first = Candidate.of(problem, trace=trace, gamma=gamma)
-    if not _searches_gamma(problem) or responses.promise(first) < enough(problem):
+    if not _searches_gamma(first) or responses.promise(first) < enough(problem):
         return first
     others = [Candidate.of(problem, gamma=start) for start in STARTS]
     return max([first, *others], key=lambda c: c.evidence.nats)
@@ -162,14 +163,15 @@ def _climbed(best: Candidate, leave: Leave):
 def _vignetted(best: Candidate, leave: Leave) -> Candidate:
     """The fit with a vignetted lens, from other gammas as well where the first leaves something to explain."""
     first = vignetting.fitted(best, leave.lens, leave.pixel)
-    if not _searches_gamma(first.problem) or responses.promise(first) < enough(first.problem):
+    if not _searches_gamma(first) or responses.promise(first) < enough(first.problem):
         return first
     other = vignetting.fitted_from(best, (*STARTS, USUAL_GAMMA), leave.lens, leave.pixel)
     return max(first, other, key=lambda c: c.evidence.nats)
 
 
-def _searches_gamma(problem: Problem) -> bool:
-    return problem.fit_transfer and problem.transfer.kind == "gamma"
+def _searches_gamma(found: Candidate) -> bool:
+    """Another start may find another gamma."""
+    return found.problem.fit_transfer and found.kind == "gamma" and found.typical < HOPELESS
 
 
 def _promising(found: Candidate, leave: Leave, tried) -> dict:
