@@ -235,10 +235,14 @@ def _strange(task, answer, audit, is_wrong):
     climbed = {} if climb is None else {g: place.rung for g, place in climb.places.items() if place.rung != "diffuse"}
     # where the picture disagrees all the same, a texture is no explanation
     doubtful = is_wrong or climb and in_doubt(climb.result)
+    objects = lambda: task.view().model.objects
     sure = {g: rung for g, rung in climbed.items() if not doubtful or rung != "textured"}
     return [
         *strangers.things_missing(task.view(), task.factors, explained, audit, sure),
-        *strangers.groups_wrong(explained.problem, explained.result, lambda: task.view().model.objects, climbed),
+        *(
+            strangers.groups_wrong(explained.problem, explained.result, objects, climbed)
+            or strangers.things_unlike(explained, audit, objects, climbed)
+        ),
     ]
 
 

@@ -14,7 +14,7 @@ from lib.analysis.candidates import enough
 from lib.analysis.evidence import evidence, promised
 from lib.analysis.explain import Explained
 from lib.analysis.misfits import shown
-from lib.analysis.problem import Problem, Result
+from lib.analysis.problem import Problem, Result, TilePixels
 from lib.given.materials import Why
 from lib.given.transfer import Metric
 from lib.given.view import View
@@ -31,6 +31,7 @@ WHOLE = 0.6  # of a facet: a thing covers less
 SAMPLES = 16  # of each lamp, from a pixel
 ELSEWHERE = 0.1  # part of a thing that lies on other facets than most of it
 OTHER = 0.1  # relative difference of a thing's reflectance from its group's that is worth a word
+UNLIKE = 0.25  # the same of a thing that only its untrusted pixels tell of
 LOOKED_AT = 4  # things whose own reflectance is tried
 
 
@@ -162,6 +163,36 @@ def _usual(size, facet):
     return usual
 
 
+def things_unlike(explained: Explained, audit: Audit, names, climbed=()) -> list[Why]:
+    """A line for each object that is unlike the rest of a group which a diffuse surface does not explain.
+
+    By all its pixels: small things have hardly a trusted one.  names() : of the objects
+    """
+    problem, result, tiles = explained.problem, explained.result, audit.tiles
+    doubtful = [g for g in audit.flagged(problem, audit.misfits(problem, result)) if g not in climbed]
+    if not any(len(np.unique(tiles.object[tiles.group == g])) > 1 for g in doubtful):
+        return []
+    B = shown(audit.subcell, problem, result, tiles)
+    seen = TilePixels(tiles.values, tiles.start, problem.noisy).linear(result.state.transfer)[0]
+    found = []
+    for g in doubtful:
+        ratio = {}
+        for thing in np.unique(tiles.object[tiles.group == g]):
+            mine = (tiles.group == g) & (tiles.object == thing)
+            ratio[thing] = np.median(seen[mine] / np.maximum(B[mine], 1e-9), axis=0)
+        usual = [thing for thing, r in ratio.items() if np.abs(r - 1).max() < OTHER]
+        for thing, r in ratio.items() if usual else ():
+            if np.abs(r - 1).max() > UNLIKE:
+                found.append(_another_material(names()[thing], r, problem.groups[g], None))
+    return found
+
+
+def _another_material(name, ratio, group, nats):
+    shown_ratio = ", ".join(f"{v:.2f}" for v in ratio)
+    text = f"object {name!r} reflects {shown_ratio} times what the rest of group {group!r}: another material"
+    return Why("group_wrong", name, text, nats)
+
+
 def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Why]:
     """A line for each object that has not its group's reflectance. names() : of the objects"""
     at, state = result.at, result.state
@@ -187,9 +218,5 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
         columns[:, np.arange(C), np.arange(C)] = np.where(mine[:, None], at.slope * state.B, 0)
         gain = promised(problem, at, columns).nats - own
         if gain >= enough(problem):
-            text = (
-                f"object {names()[thing]!r} reflects {', '.join(f'{1 + v:.2f}' for v in ratio)} times what the rest"
-                f" of group {problem.groups[g]!r}: another material"
-            )
-            found.append(Why("group_wrong", names()[thing], text, float(gain)))
+            found.append(_another_material(names()[thing], 1 + ratio, problem.groups[g], float(gain)))
     return found
