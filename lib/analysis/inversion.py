@@ -74,6 +74,7 @@ class Task:
 class Answer:
     """What was found. problem, result, scale : in the end;  refined : a Refinement, or None
 
+    audit, judged : of all pixels and `explained`, its misfits; None where they were not looked at
     ascent : of the ladder, None where all is diffuse;  why : [Why] photograph and facts do not agree
     """
 
@@ -81,6 +82,8 @@ class Answer:
     problem: Problem
     result: Result
     scale: str
+    audit: Audit | None = None
+    judged: dict | None = None
     ascent: object = None
     refined: object = None
     why: list = field(default_factory=list)
@@ -118,12 +121,12 @@ def solve(task: Task, report: Report) -> Answer:
                 answer.why = answer.refined.why
                 return answer
         answer = _materials(task, explained, audit, judged, report)
-    answer.why = _why(task, answer, audit, edges)
+    answer.why = _why(task, answer, edges)
     return answer
 
 
-def _answer(explained: Explained) -> Answer:
-    return Answer(explained, explained.problem, explained.result, explained.scale)
+def _answer(explained: Explained, audit=None, judged=None) -> Answer:
+    return Answer(explained, explained.problem, explained.result, explained.scale, audit, judged)
 
 
 def _summary(task, problem, judged):
@@ -166,16 +169,16 @@ def _materials(task, explained, audit, judged, report) -> Answer:
     """What is left is the groups' own: the ladder where a diffuse surface does not explain them."""
     if not audit.flagged(explained.problem, judged):
         audit.doubt(explained.problem, explained.result, judged)
-        return _answer(explained)
+        return _answer(explained, audit, judged)
     if not explained.is_sure:  # a material may bring as much as the causes that were taken
         explained = explained.without_causes(**task.options)
         audit = Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold)
         judged = audit.misfits(explained.problem, explained.result)
         if not audit.flagged(explained.problem, judged):
             audit.doubt(explained.problem, explained.result, judged)
-            return _answer(explained)
+            return _answer(explained, audit, judged)
     if _is_wrong_everywhere(explained, audit, judged):
-        return _answer(explained)
+        return _answer(explained, audit, judged)
     with report.excluded("compile"):
         from lib.analysis import ascent
 
@@ -194,7 +197,7 @@ def _materials(task, explained, audit, judged, report) -> Answer:
         ),
         options=task.options,
     )
-    climb, answer = done.climb, _answer(explained)
+    climb, answer = done.climb, _answer(explained, audit, judged)
     if not agreement.fits(climb.result) and not audit.given:
         return answer  # what is wrong is not one material: nothing is made up from it
     audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
@@ -212,22 +215,22 @@ def _is_wrong_everywhere(explained, audit, judged):
     return everywhere and not agreement.fits(explained.result) and not audit.given
 
 
-def _why(task, answer: Answer, audit, edges):
+def _why(task, answer: Answer, edges):
     """[Why] photograph and facts do not agree, the likeliest first."""
     result, explained = answer.result, answer.explained
     why = agreement.disagreements(answer.problem, result, task.found, task.factors, task.transfer, explained.rivals)
     if edges is not None and in_doubt(result):
         why = agreement.joined(why, edges.why)
-    if audit is None:
+    if answer.audit is None:
         return why
     if not agreement.fits(result) and not answer.climb:
         from lib.analysis import refine
 
         why = agreement.joined(why, refine.flipped(task.view(), task.factors, task.found, explained))
-    return agreement.joined(why, _strange(task, answer, audit, bool(why)))
+    return agreement.joined(why, _strange(task, answer, bool(why)))
 
 
-def _strange(task, answer, audit, is_wrong):
+def _strange(task, answer, is_wrong):
     """What the photograph shows and the model has not, in words. is_wrong : photograph and facts disagree anyway"""
     from lib.analysis import strangers
 
@@ -238,10 +241,10 @@ def _strange(task, answer, audit, is_wrong):
     objects = lambda: task.view().model.objects
     sure = {g: rung for g, rung in climbed.items() if not doubtful or rung != "textured"}
     return [
-        *strangers.things_missing(task.view(), task.factors, explained, audit, sure),
+        *strangers.things_missing(task.view(), task.factors, explained, answer.audit, sure),
         *(
             strangers.groups_wrong(explained.problem, explained.result, objects, climbed)
-            or strangers.things_unlike(explained, audit, objects, climbed)
+            or strangers.things_unlike(explained, answer.audit, answer.judged, objects, climbed)
         ),
     ]
 

@@ -163,13 +163,13 @@ def _usual(size, facet):
     return usual
 
 
-def things_unlike(explained: Explained, audit: Audit, names, climbed=()) -> list[Why]:
+def things_unlike(explained: Explained, audit: Audit, judged, names, climbed=()) -> list[Why]:
     """A line for each object that is unlike the rest of a group which a diffuse surface does not explain.
 
-    By all its pixels: small things have hardly a trusted one.  names() : of the objects
+    By all its pixels: small things have hardly a trusted one.  judged : of Audit.misfits;  names() : of the objects
     """
     problem, result, tiles = explained.problem, explained.result, audit.tiles
-    doubtful = [g for g in audit.flagged(problem, audit.misfits(problem, result)) if g not in climbed]
+    doubtful = [g for g in audit.flagged(problem, judged) if g not in climbed]
     if not any(len(np.unique(tiles.object[tiles.group == g])) > 1 for g in doubtful):
         return []
     B = shown(audit.subcell, problem, result, tiles)

@@ -20,6 +20,7 @@ from lib.given.transfer import display_of_linear
 MAY_CLIP = 0.25  # share of a noisy surface's pixels that may be clipped: its median is not
 NOISY = 0.01  # display, standard deviation of a pixel, from which a photograph may be called noisy
 SKEWED, OUTLIER = 0.1, 4.0  # mean cube of second differences in sigmas; held down to so many
+ENOUGH = 300_000  # pixels that tell of the noise
 _OF_SECOND = 6.0
 
 
@@ -53,7 +54,7 @@ class Photograph:
         """
         if self.linear:
             return False
-        second = _second_differences(self.values)
+        second = _second_differences(self.values, max(1, self.values[..., 0].size // ENOUGH))
         sigma = float(np.median(np.abs(second))) / 0.6745 if second.size else 0.0
         if sigma <= NOISY * _OF_SECOND:
             return False
@@ -70,10 +71,10 @@ class Photograph:
         return MAY_CLIP if self.noisy else 0.0
 
 
-def _second_differences(values):
-    """(H - 2, W - 2, C) across and along: shading is gone, noise is left, _OF_SECOND times as large."""
-    along = values[:, :-2] - 2 * values[:, 1:-1] + values[:, 2:]
-    return along[:-2] - 2 * along[1:-1] + along[2:]
+def _second_differences(values, step):
+    """(n, W - 2, C) across and along every step-th row: shading is gone, noise is left, _OF_SECOND times as large."""
+    across = values[:-2:step] - 2 * values[1:-1:step] + values[2::step]
+    return across[:, :-2] - 2 * across[:, 1:-1] + across[:, 2:]
 
 
 def read_photograph(path) -> Photograph:

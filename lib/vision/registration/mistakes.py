@@ -45,7 +45,7 @@ def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
 
 def _undone(model, camera):
     """(cause, in words, model, camera) without each mistake."""
-    for unit in METRES.keys() - {"m"}:
+    for unit in (name for name in METRES if name != "m"):
         size = np.ptp(model.vertices, axis=0).max()
         text = f"the model is {size:,.4g} m large: with its lengths in {unit} (model: {{{{unit: {unit}}}}})"
         yield "units", text, _turned(model, METRES[unit] * np.eye(3)), camera
