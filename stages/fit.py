@@ -37,6 +37,7 @@ def options():
         may_write="specular mirror camera_out model_out causes_out",
     )
     parser.add_argument("--lamps", type=stage.json_option, required=True)
+    parser.add_argument("--lobes", type=stage.json_option, default={}, help="of lamps: {aim, exponent} or unknown")
     parser.add_argument("--place-sigma-m", type=stage.json_option, default={}, help="of lamps; default: .1")
     parser.add_argument("--reference", type=stage.json_option, default={})
     parser.add_argument("--transfer", type=stage.json_option, default=None, help="default: auto, linear for EXR")
@@ -85,6 +86,7 @@ def main(opt):
             scale=answer.scale,
             transfer=opt.transfer,
             explained=answer.explained,
+            lobes=task.lobes,
             refined=task.refined,
             why=answer.why,
             climb=answer.climb,
@@ -106,7 +108,7 @@ def main(opt):
 
 def task_of(opt):
     """What the files and the options give."""
-    from lib.analysis import facts, gather
+    from lib.analysis import facts, gather, lamp_lobe
     from lib.analysis.inversion import Task
     from lib.given import cameras, materials
     from lib.light import factors_file
@@ -122,15 +124,23 @@ def task_of(opt):
             raise stage.BadInput("--curve: missing, and --transfer names one")
         transfer = materials.read_curve(opt.curve)
     shown = opt.audit and opt.camera and opt.model and opt.photograph and opt.facet
+    view = functools.cache(lambda: view_of(opt, factors))
+    lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
+    if opt.lobes and not shown:
+        raise stage.BadInput("--lobes: without --audit, --camera, --model, --photograph and --facet")
+    if lobes:
+        factors, found, audit = lamp_lobe.in_lobes(view(), factors, lobes, found, audit)
     return Task(
         problem=facts.problem_of(factors, found, lamps=opt.lamps, reference=opt.reference, transfer=transfer),
         found=found,
         factors=factors,
         camera=cameras.read_cameramodel(opt.camera) if opt.camera else None,
-        view=functools.cache(lambda: view_of(opt, factors)) if shown else None,
+        view=view if shown else None,
         audit=audit,
         lamps=opt.lamps,
         place_sigma_m=opt.place_sigma_m,
+        lobes=lobes,
+        lobes_unknown=opt.lobes.keys() - lobes.keys(),
         surfaces=opt.surfaces,
         transfer=opt.transfer,
         causes=opt.explain,

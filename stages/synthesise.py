@@ -84,6 +84,8 @@ def main(opt):
     scalar = opt.variant.startswith("scalar")
     if opt.gather and (scalar or recipe.surfaces or recipe.reference or recipe.pair):
         raise stage.BadInput("--gather: for --variant llvm_ad_rgb and diffuse rooms with black lamps")
+    if recipe.lobes and not opt.gather:
+        raise stage.BadInput(f"--scene: {opt.scene}: lamps with lobes are drawn by --gather alone")
     if scalar and any(surface.kind != "textured" for surface in recipe.surfaces.values()):
         raise stage.BadInput(f"--variant: {opt.variant}: mirrors and gloss are drawn by llvm_ad_rgb alone")
     if not recipe.pair:

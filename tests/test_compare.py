@@ -108,7 +108,11 @@ def test_what_is_counted():
 def test_only_unknown_lamps_count():
     truth = materials({}, {"a": {"emittance": [4, 4, 4]}, "b": {"emittance": [2, 2, 2]}})
     found = materials(
-        {}, {"a": {"emittance": [4.4, 4, 4], "sigma": [0.1] * 3}, "b": {"emittance": [1, 1, 1], "sigma": None}}
+        {},
+        {
+            "a": {"emittance": [4.4, 4, 4], "sigma": {"emittance": [0.1] * 3}},
+            "b": {"emittance": [1, 1, 1], "sigma": None},
+        },
     )
     e = errors(found=found, truth=truth)
     assert e["lamp.max_relative"] == pytest.approx(0.1) and e["lamp.mean_relative"] == pytest.approx(0.1 / 3)

@@ -25,6 +25,7 @@ FITS = 1.2  # error that neighbouring tiles have in common, in what noise explai
 # 2 px off has 1.3 to 2.6, a lamp 12 cm off 4 to 8
 DOUBT = 0.4  # of the same, from which it is worth while to look further
 OFF = 0.02  # relative difference of a lamp from what is told that is worth a word
+SETTLES = 0.3  # of the tiles' typical residual: what leaves no more is all that is wrong
 OPEN = 0.02  # share of a patch's light that leaves the model, from which a glow from outside is thought of
 TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
 ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which nothing found is believed
@@ -102,21 +103,27 @@ def _named(asked):
     return f"the curve of {asked['curve']}" if "curve" in asked else f"gamma {asked['gamma']:g}"
 
 
-def lamps(problem, result):
+def lamps(problem, result) -> list[Why]:
     """Emittances that are told, where others fit far better."""
+    return lamps_told(problem, result)[0]
+
+
+def lamps_told(problem, result) -> tuple[list[Why], bool]:
+    """The same, and whether other emittances are all that is wrong."""
     if np.isnan(problem.emittance).any() or scale(problem) != "lamps":
-        return []
+        return [], False
     state = result.state
     freed = replace(problem, emittance=np.full_like(problem.emittance, np.nan))
     start = Unknowns(state.rho, state.E, state.transfer)
     own = evidence(problem, result.at).nats
     if _one_step(freed, start) - own < enough(problem):
-        return []
+        return [], False
     free = Candidate.of(freed, start=start)
     gain, ratio = free.evidence.nats - own, free.result.state.E / np.maximum(problem.emittance, 1e-12)
     if gain < enough(problem):
-        return []
-    return [_lamp(name, ratio[k], gain) for k, name in enumerate(problem.lamps) if np.abs(ratio[k] - 1).max() > OFF]
+        return [], False
+    why = [_lamp(name, ratio[k], gain) for k, name in enumerate(problem.lamps) if np.abs(ratio[k] - 1).max() > OFF]
+    return why, free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
 
 
 def _lamp(name, ratio, gain):

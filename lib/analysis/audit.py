@@ -10,6 +10,8 @@ from lib.analysis.gather import Gathered
 from lib.analysis.problem import Problem, Result
 from lib.analysis.receivers import Receivers, unplaced
 
+LEFT = 0.25  # of the energy of all groups that differed which may be left where a lamp is what was wrong
+
 
 @dataclass(frozen=True, eq=False)
 class Audit:
@@ -42,6 +44,11 @@ class Audit:
     def flagged(self, problem: Problem, judged) -> list:
         """The groups that a diffuse surface does not explain. judged : of `misfits`"""
         return misfits.flagged(problem, judged, self.given, self.threshold)
+
+    def energy(self, problem: Problem, result: Result, direct=None) -> float:
+        """Of the groups that a diffuse surface does not explain, all together. direct : of `misfits`"""
+        judged = self.misfits(problem, result, direct)
+        return sum(judged[g].energy for g in self.flagged(problem, judged))
 
     def doubt(self, problem: Problem, result: Result, judged, places=None):
         """Widen sigma of groups that differ all the same, and say so."""

@@ -10,8 +10,9 @@ import numpy as np
 from lib.analysis.climbing import SPECULAR, Climb, Place
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import MISFIT, Problem, Result, group_rmse
+from lib.core.record import plain
 from lib.given.kinds import RUNGS
-from lib.given.materials import Cause, Fit, FoundTransfer, Group, Lamp, Materials, Rival, Rung, Sigma
+from lib.given.materials import Cause, Fit, FoundTransfer, Group, Lamp, LampSigma, Lobe, Materials, Rival, Rung, Sigma
 from lib.given.transfer import GAMMA_RANGE, Metric
 from lib.given.transfer_kinds import OF_PICTURE
 
@@ -33,12 +34,14 @@ def describe(
     explained: Explained,
     refined=(),
     why=(),
+    lobes=None,
     climb: Climb | None = None,
     textures: dict[int, Textured] | None = None,
 ) -> Materials:
     """What materials.json says. One-channel results stand three times.
 
     refined : [Cause] for which camera or model are not as given
+    lobes : {lamp: (4,)} as scene.yaml has them
     transfer : as scene.yaml has it, or None;  why : [Why] where photograph and given facts do not agree
     climb : where a group is not diffuse;  textures : by group
     """
@@ -57,7 +60,11 @@ def describe(
     status = "nothing seen" if nothing else "converged" if result.converged and result.balanced else "not converged"
     status = "does not fit" if why and not nothing else status
     rmse = None if nothing or not np.isfinite(result.rmse) else float(result.rmse)
-    lamps = {name: _lamp(problem, result, k, scale) for k, name in enumerate(problem.lamps)}
+    moved = {cause.subject: cause for cause in refined if cause.cause == "lamp_place"}
+    lamps = {}
+    for k, name in enumerate(problem.lamps):
+        lamp = _lamp(problem, result, k, scale, explained, lobes or {}, moved)
+        lamps[name] = replace(lamp, identified=False) if why and lamp.identified else lamp
     function = _transfer(problem, result, transfer, explained.rivals)
     fit = Fit(rmse, int(result.iterations))
     causes = sorted([*refined, *_causes(explained, result)], key=lambda cause: -(cause.evidence_nats or 0))
@@ -71,13 +78,30 @@ def _causes(explained: Explained, result) -> list[Cause]:
         if taken.cause == "response" and result.state.transfer.kind != "curve":
             continue  # sRGB in place of gamma is no deviation
         name = "curve" if taken.cause == "response" else taken.cause
-        values, sigma = dict(explained.values.get(name, {})), None
-        if name == "vignetting" and result.cov_cause is not None:
-            values = {"k": [float(k) for k in values["k"] + result.state.cause], "centre_px": list(values["centre_px"])}
-            sigma = {"k": [float(s) for s in np.sqrt(np.diag(result.cov_cause))]}
         rivals = [Rival(cause, float(nats)) for cause, nats in taken.rivals.items()]
-        causes.append(Cause(name, None, values, sigma, float(taken.nats), rivals))
+        for subject, values, sigma in _found(explained, result, name):
+            causes.append(Cause(name, subject, values, sigma, float(taken.nats), rivals))
     return causes
+
+
+def _found(explained: Explained, result, name):
+    """[(subject, values, sigma)] of a cause that was taken."""
+    values = explained.values.get(name, {})
+    if name == "lamp_lobe":
+        lobes = explained.lobes.items()
+        return [(lamp, plain(_lobe(lobe)), _sigma_of_lobe(explained, lamp)) for lamp, lobe in lobes]
+    if name == "vignetting":
+        values = {"k": list(map(float, values["k"])), "centre_px": list(values["centre_px"])}
+        if result.cov_cause is not None:
+            own = explained.problem.cause.of(name)
+            values["k"] = [float(k) for k in values["k"] + result.state.cause[own]]
+            return [(None, values, {"k": [float(s) for s in np.sqrt(np.diag(result.cov_cause))[own]]})]
+    return [(None, dict(values), None)]
+
+
+def _sigma_of_lobe(explained, lamp):
+    sigma = explained.sigma_of_lobe(lamp)
+    return None if sigma is None else {"aim_deg": float(sigma[0]), "exponent": float(sigma[1])}
 
 
 def _three(values):
@@ -148,14 +172,31 @@ def _specular(group: Group, climb: Climb, g, m, place: Place) -> Group:
     )
 
 
-def _lamp(problem, result, k, scale) -> Lamp:
+def _lamp(problem, result, k, scale, explained: Explained, told, moved) -> Lamp:
+    """told : {lamp: (4,)} lobes of scene.yaml;  moved : {lamp: Cause} that stand elsewhere"""
+    name = problem.lamps[k]
     known = not np.isnan(problem.emittance[k]).any()
-    reflects = problem.rho[problem.groups.index(problem.lamps[k])]
+    reflects = problem.rho[problem.groups.index(name)]
+    sigma = {}
+    if not known and result.sigma_E is not None and scale != "convention":
+        sigma["emittance"] = _three(result.sigma_E[k])
+    if name in explained.lobes:
+        sigma |= _sigma_of_lobe(explained, name) or {}
+    if name in moved:
+        sigma["offset_m"] = _three(moved[name].sigma["offset_m"])
+    lobe = {**told, **explained.lobes}.get(name)
     return Lamp(
         _three(result.state.E[k]),
-        None if known or result.sigma_E is None or scale == "convention" else _three(result.sigma_E[k]),
+        None if lobe is None else _lobe(lobe),
+        _three(moved[name].values["offset_m"]) if name in moved else None,
+        LampSigma(**sigma) if sigma else None,
+        True if sigma else None,
         _three(reflects) if reflects.any() else None,  # a lamp named under `reference`
     )
+
+
+def _lobe(lobe) -> Lobe:
+    return Lobe(tuple(map(float, lobe[:3])), float(lobe[3]))
 
 
 def _transfer(problem, result, asked, rivals) -> FoundTransfer:

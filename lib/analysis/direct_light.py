@@ -49,7 +49,7 @@ class DirectLight:
         if model is self.view.model and lamp in self._given:
             return self._given[lamp]
         surface, names = surfaces.surface(model, self.factors.lamps), self.factors.lamps
-        emitters, tiles = lamps_.emitters(surface, names), self.found.tiles
+        emitters, tiles = lamps_.emitters(surface, names, self.factors.lobes), self.found.tiles
         emitters = [emitter for emitter in emitters if lamp in (None, names[emitter.lamp])]
         D = lamps_.patch_direct(surface, self.factors.mesh, emitters, len(names), n_points=POINTS)
         start, pixel = self._some_pixels
@@ -120,4 +120,4 @@ class DirectLight:
     @cached_property
     def emitters(self):
         """Of the lamps as they are."""
-        return lamps_.emitters(self.surface, self.factors.lamps)
+        return lamps_.emitters(self.surface, self.factors.lamps, self.factors.lobes)

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from lib.analysis import responses, vignetting
-from lib.analysis.agreement import fits, out_of_range
+import numpy as np
+
+from lib.analysis import lamp_lobe, responses, vignetting
+from lib.analysis.agreement import fits, in_doubt, out_of_range
 from lib.analysis.candidates import NATS, Candidate, enough
 from lib.analysis.equations import Unknowns
 from lib.analysis.facts import USUAL_GAMMA
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import fit
+from lib.analysis.lamp_lobe import LampLobes
 from lib.analysis.problem import Problem, Result
 from lib.given.causes import BUILT
 from lib.given.falloff import Lens
@@ -32,7 +35,7 @@ class Explained:
 
     scale : what fixed the scale of the light;  rivals : {kind: nats} of other transfer functions
     taken : [Taken], in the order in which they were taken;  values : {cause: what it found}
-    given : the rough fit under the given facts;  lens : None where nothing is known of it
+    given, best : the rough fits under the given facts and with the causes;  lens : None where nothing is known of it
     """
 
     problem: Problem
@@ -42,6 +45,7 @@ class Explained:
     taken: list = field(default_factory=list)
     values: dict = field(default_factory=dict)
     given: Candidate | None = None
+    best: Candidate | None = None
     lens: Lens | None = None
 
     @property
@@ -53,7 +57,27 @@ class Explained:
     def without_causes(self, **options) -> Explained:
         """The fit under the given facts. options : of gauss_newton.gauss_newton"""
         result, scale = fit(self.given.problem, start=self.given.start, **options)
-        return Explained(self.given.problem, result, scale, given=self.given, lens=self.lens)
+        return Explained(self.given.problem, result, scale, given=self.given, best=self.given, lens=self.lens)
+
+    def kept(self, **options) -> Explained:
+        """Without the causes where they do not suffice: what is wrong may be none of them, and they only bend to it."""
+        suffices = not self.taken or fits(self.result) or self.is_sure
+        return self if suffices else self.without_causes(**options)
+
+    @property
+    def lobes(self):
+        """{lamp: (4,) unit aim and exponent} that were found."""
+        found = self.values.get(lamp_lobe.NAME, {})
+        return lamp_lobe.stepped(found, self.problem.cause, self.result.state.cause) if found else {}
+
+    def sigma_of_lobe(self, lamp):
+        """(of the aim, degrees; of the exponent), None where they are not known."""
+        if self.result.cov_cause is None:
+            return None
+        k = list(self.values[lamp_lobe.NAME]).index(lamp)
+        own = np.flatnonzero(self.problem.cause.of(lamp_lobe.NAME))[3 * k : 3 * k + 3]
+        variance = np.diag(self.result.cov_cause)[own]
+        return np.degrees(np.sqrt(variance[:2].sum() / 2)), self.lobes[lamp][3] * np.sqrt(variance[2])
 
     @property
     def falloff(self):
@@ -92,37 +116,83 @@ class Leave:
     """What may be explained. response : the transfer function is free;  causes : that may be taken
 
     lens, pixel : where the pixels (M,) of the tiles lie; None: nothing is known of the lens
+    lobes : of the lamps, None where nothing is known of the ways of their light
     """
 
     response: bool = True
     causes: tuple = BUILT
     lens: Lens | None = None
     pixel: object = None
+    lobes: LampLobes | None = None
 
     @classmethod
-    def of(cls, camera, found: Gathered, transfer, causes) -> Leave:
+    def of(cls, camera, found: Gathered, transfer, causes, lobes=None) -> Leave:
         """camera : Camera or None;  transfer, causes : of scene.yaml, None: all that is left open"""
         lens = None if camera is None else Lens((camera.K[0, 2], camera.K[1, 2]), (camera.width, camera.height))
         causes = tuple(BUILT if causes is None else causes)
         causes = () if out_of_range(found) else causes  # nothing can be learnt from such values
-        return cls(transfer in (None, "auto") and "curve" in causes, causes, lens, found.tiles.pixel)
+        response = transfer in (None, "auto") and "curve" in causes
+        return cls(response, causes, lens, found.tiles.pixel, None if out_of_range(found) else lobes)
 
 
 def explain(problem: Problem, leave: Leave, **options) -> Explained:
-    """The fit with the causes that the photograph supports.
+    """The fit with the causes that the photograph supports, those of the lamps' lobes last.
 
     options : of gauss_newton.gauss_newton
     """
+    found = without_lobes(problem, leave, **options)
+    options.pop("gamma", None)
+    return with_lobes(found, leave, **options).kept(**options)
+
+
+def without_lobes(problem: Problem, leave: Leave, **options) -> Explained:
+    """The fit with the causes that are of the camera alone."""
     if not len(problem.tile_group):
         return Explained(problem, *fit(problem, **options), lens=leave.lens)
     first = _begun(problem, options.pop("gamma", None), options.get("trace"))
-    best, taken, functions = _climbed(first, leave)
+    return _finished(first, first, [], leave, options)
+
+
+def with_lobes(found: Explained, leave: Leave, **options) -> Explained:
+    """The same with lamps that throw their light in lobes, where the photograph asks for that.
+
+    In place of what was taken, or where that leaves something to explain, beside it.
+    """
+    if leave.lobes is None or found.best is None or not (leave.lobes.asked or in_doubt(found.result)):
+        return found
+    first = found.given
+    least = 0.0 if leave.lobes.asked else enough(first.problem)
+    for base, before in [(first, []), *([(found.best, found.taken)] if found.taken else [])]:
+        if before and not in_doubt(found.result):
+            break
+        lobed = _lobed(base, leave.lobes, not fits(found.result))
+        if lobed is None or lobed.evidence.nats < found.best.evidence.nats - least:
+            continue
+        instead_of = {} if before else {taken.cause: taken.nats for taken in found.taken}
+        taken = Taken(lamp_lobe.NAME, lobed.evidence.nats - base.evidence.nats, instead_of)
+        other = _finished(first, lobed, [*before, taken], leave, options)
+        if other.best.evidence.nats >= found.best.evidence.nats + least:
+            found = other
+    return found
+
+
+def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:
+    """With the causes that the photograph supports beside those of `begun`, [Taken]."""
+    best, more, functions = _climbed(begun, leave)
     result, scale = fit(best.problem, start=best.start, **options)
     result.iterations += best.result.iterations
     rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
-    explained = Explained(best.problem, result, scale, rivals, taken, best.taken, first, leave.lens)
-    # where they do not suffice, what is wrong may be none of these causes: they would only bend to it
-    return explained if not taken or fits(result) or explained.is_sure else explained.without_causes(**options)
+    return Explained(best.problem, result, scale, rivals, [*taken, *more], best.taken, given, best, leave.lens)
+
+
+def _lobed(base: Candidate, lobes: LampLobes, hopeless) -> Candidate | None:
+    """The fit with lamps that throw their light in lobes; None where uneven light brings too little.
+
+    hopeless : nothing else explains the photograph: a lobe may, even where light that is uneven does not
+    """
+    uneven = lamp_lobe.uneven(base, lobes)
+    tries = hopeless or lobes.asked or uneven.is_worth(base)
+    return lamp_lobe.begun(base, uneven, lobes) if tries else None
 
 
 def _begun(problem: Problem, gamma, trace) -> Candidate:
@@ -145,9 +215,9 @@ def _climbed(best: Candidate, leave: Leave):
         candidates = {}
         if "response" in wanted:
             functions = (best, *responses.fitted(best))
-            candidates["response"] = responses.simplest(functions) if leave.response else best
+            candidates["response"] = _settled(responses.simplest(functions), best, leave) if leave.response else best
         if "vignetting" in wanted:
-            shadow = _vignetted(best, leave)
+            shadow = _settled(_vignetted(best, leave), best, leave)
             candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
         better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}
         if not better:
@@ -158,6 +228,13 @@ def _climbed(best: Candidate, leave: Leave):
         best, tried = better[cause], {t.cause for t in taken}
         functions = functions if cause == "response" else ()
     return best, taken, functions
+
+
+def _settled(found: Candidate, before: Candidate, leave: Leave) -> Candidate:
+    """With the lamps' lobes fitted again, if it has any and is another explanation than before."""
+    if found is before or lamp_lobe.NAME not in found.taken:
+        return found
+    return lamp_lobe.fitted(found, leave.lobes)
 
 
 def _vignetted(best: Candidate, leave: Leave) -> Candidate:

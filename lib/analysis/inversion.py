@@ -12,12 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from lib.analysis import agreement, explain
+from lib.analysis import agreement, explain, lamp_lobe
 from lib.analysis.agreement import in_doubt
-from lib.analysis.audit import Audit
+from lib.analysis.audit import LEFT, Audit
 from lib.analysis.climbing import Climb
 from lib.analysis.explain import Explained, Leave
 from lib.analysis.gather import Gathered
+from lib.analysis.lamp_lobe import LampLobes
 from lib.analysis.problem import Problem, Result
 from lib.core.report import Report
 from lib.given.cameras import Camera
@@ -35,6 +36,7 @@ class Task:
     view : reads photograph, model, camera and facet.png, which only some scenes need; None where they are not there
     audit : the light of all pixels, or None
     lamps, place_sigma_m, surfaces, transfer, causes : as scene.yaml has them (causes: `explain`, or None)
+    lobes : {lamp: (4,)} that scene.yaml tells, which factors, found and audit know;  lobes_unknown : {lamp} to be found
     gamma : where it starts
     may_refine : camera and model are as given, and others may be asked for;  refined : [Cause] that were, else
     options : of gauss_newton.gauss_newton
@@ -48,6 +50,8 @@ class Task:
     audit: Gathered | None
     lamps: dict
     place_sigma_m: dict
+    lobes: dict
+    lobes_unknown: set
     surfaces: dict
     transfer: object
     causes: list | None
@@ -57,6 +61,22 @@ class Task:
     may_refine: bool
     refined: list
     options: dict
+
+    def in_lobes(self, lobes) -> Task:
+        """The same with the light of lamps that throw it in lobes {lamp: (4,)}."""
+        if not lobes:
+            return self
+        factors, found, audit = lamp_lobe.in_lobes(self.view(), self.factors, lobes, self.found, self.audit)
+        return replace(self, factors=factors, found=found, audit=audit)
+
+    @property
+    def lamp_lobes(self) -> LampLobes | None:
+        """Of the lamps whose lobe scene.yaml leaves open."""
+        may = self.causes is None or lamp_lobe.NAME in self.causes
+        wanted = [lamp for lamp in self.factors.lamps if lamp not in self.lobes and (may or lamp in self.lobes_unknown)]
+        if not wanted or not self.can_look:
+            return None
+        return LampLobes(self.view, self.factors, self.found, tuple(wanted), bool(self.lobes_unknown))
 
     @property
     def allowed(self):
@@ -99,34 +119,72 @@ def solve(task: Task, report: Report) -> Answer:
     trace = lambda iteration, image_rmse, state: report.trace(
         iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
     )
-    fitted = lambda problem, leave: explain.explain(problem, leave, gamma=task.gamma, trace=trace, **task.options)
+    options = {"trace": trace, **task.options}
     edges = _edges(task) if task.can_look and task.causes != [] else None
     may_refine = task.may_refine and edges is not None
     if may_refine and (edges.is_lost or edges.allowed(task.allowed)):
         # whatever else the photograph might tell would only bend to this
-        answer = _answer(fitted(task.problem, Leave(False, ())))
+        answer = _answer(explain.explain(task.problem, Leave(False, ()), gamma=task.gamma, **options))
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
         if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
             return answer
     problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
-    explained = fitted(problem, Leave.of(task.camera, task.found, task.transfer, task.causes))
-    audit = Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold) if task.can_look else None
-    answer = _answer(explained)
-    if audit is not None:
-        judged = audit.misfits(explained.problem, explained.result)
-        report["ladder"] = _summary(task, explained.problem, judged)
-        if may_refine and "lamp_place" in task.allowed and not edges.why and in_doubt(explained.result):
-            answer.refined = _by_light(task, explained, audit)
-            if answer.refined is not None:
-                answer.why = answer.refined.why
-                return answer
-        answer = _materials(task, explained, audit, judged, report)
+    leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
+    explained = explain.without_lobes(problem, leave, gamma=task.gamma, **options)
+    if task.can_look and (wrong := _told_wrong(task, explained)):
+        answer = _answer(explained.kept(**options))
+        answer.why = wrong
+        return answer
+    lobed = explain.with_lobes(explained, leave, **options)
+    explained = explained.kept(**options)
+    if not task.can_look:
+        answer = _answer(explained)
+        answer.why = _why(task, answer, edges)
+        return answer
+    plain, in_lobes = task, task.in_lobes(lobed.lobes)
+    if lobed.lobes and (leave.lobes.asked or _suffices(task, explained, in_lobes, lobed)):
+        task, explained = in_lobes, lobed
+    audit = _audit(task, explained)
+    judged = audit.misfits(explained.problem, explained.result)
+    report["ladder"] = _summary(task, explained.problem, judged)
+    if may_refine and "lamp_place" in task.allowed and not edges.why and in_doubt(explained.result):
+        refined = _by_light(plain, explained, audit if task is plain else _audit(plain, explained))
+        if refined is not None:
+            return _answer(explained, refined=refined, why=refined.why)
+    answer = _materials(task, explained, audit, judged, report)
+    if lobed.lobes and task is plain and not agreement.fits(answer.result):
+        task, audit = in_lobes, _audit(in_lobes, lobed)  # nothing suffices, lobes come nearest
+        answer = _answer(lobed, audit, audit.misfits(lobed.problem, lobed.result))
     answer.why = _why(task, answer, edges)
     return answer
 
 
-def _answer(explained: Explained, audit=None, judged=None) -> Answer:
-    return Answer(explained, explained.problem, explained.result, explained.scale, audit, judged)
+def _suffices(task, explained, in_lobes, lobed) -> bool:
+    """Lobes of lamps leave nothing to explain: what mirrors and lobes of surfaces throw may look like them."""
+    if not agreement.fits(lobed.result):
+        return False
+    left = [_audit(t, e).energy(e.problem, e.result) for t, e in ((in_lobes, lobed), (task, explained))]
+    return left[0] <= LEFT * left[1]
+
+
+def _told_wrong(task, explained) -> list:
+    """[Why] of lamps that scene.yaml or the model has wrong, where that is all that is wrong."""
+    if agreement.fits(explained.result):
+        return []
+    why, settled = agreement.lamps_told(explained.problem, explained.result)
+    if settled or explained.given.typical < explain.HOPELESS:
+        return why if settled else []
+    from lib.analysis import refine
+
+    return refine.flipped(task.view(), task.factors, task.found, explained)
+
+
+def _audit(task, explained) -> Audit:
+    return Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold)
+
+
+def _answer(explained: Explained, audit=None, judged=None, **more) -> Answer:
+    return Answer(explained, explained.problem, explained.result, explained.scale, audit, judged, **more)
 
 
 def _summary(task, problem, judged):
@@ -172,7 +230,7 @@ def _materials(task, explained, audit, judged, report) -> Answer:
         return _answer(explained, audit, judged)
     if not explained.is_sure:  # a material may bring as much as the causes that were taken
         explained = explained.without_causes(**task.options)
-        audit = Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold)
+        audit = _audit(task, explained)
         judged = audit.misfits(explained.problem, explained.result)
         if not audit.flagged(explained.problem, judged):
             audit.doubt(explained.problem, explained.result, judged)
@@ -223,10 +281,6 @@ def _why(task, answer: Answer, edges):
         why = agreement.joined(why, edges.why)
     if answer.audit is None:
         return why
-    if not agreement.fits(result) and not answer.climb:
-        from lib.analysis import refine
-
-        why = agreement.joined(why, refine.flipped(task.view(), task.factors, task.found, explained))
     return agreement.joined(why, _strange(task, answer, bool(why)))
 
 

@@ -150,13 +150,28 @@ class SpecularTerms:
 class CauseTerms(NamedTuple):
     """What may be wrong with the picture as a whole, linearised: k numbers that are 0 where the problem stands.
 
+    names : (k,) of the cause that each number belongs to
     columns : (T, C, k) derivatives of the display residual;  spread : (k,) standard deviations of the prior, or inf
     """
 
-    name: str
-    subject: str | None
+    names: tuple
     columns: np.ndarray
     spread: np.ndarray
+
+    def of(self, cause):
+        """(k,) bool: the numbers of one cause."""
+        return np.array([name == cause for name in self.names], bool)
+
+    def beside(self, others: CauseTerms | None) -> CauseTerms:
+        """Both, these last and in place of what the others have of the same causes."""
+        if others is None:
+            return self
+        kept = ~np.isin(others.names, self.names)
+        return CauseTerms(
+            (*np.array(others.names)[kept], *self.names),
+            np.concatenate([others.columns[..., kept], self.columns], axis=-1),
+            np.concatenate([others.spread[kept], self.spread]),
+        )
 
 
 @dataclass(eq=False)

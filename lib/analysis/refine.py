@@ -13,7 +13,7 @@ import numpy as np
 
 from lib.analysis import lamp_place
 from lib.analysis.agreement import fits
-from lib.analysis.audit import Audit
+from lib.analysis.audit import LEFT, Audit
 from lib.analysis.candidates import Candidate, enough
 from lib.analysis.direct_light import DirectLight
 from lib.analysis.explain import Explained
@@ -28,7 +28,6 @@ from lib.given.model.mesh import Model
 from lib.given.view import View
 from lib.light.factors_file import FormFactors
 
-LEFT = 0.25  # of the energy of all groups that differed which may be left where a lamp is what was wrong
 LAMP_PLACE_M = 0.1  # standard deviation of a lamp's place
 
 
@@ -93,9 +92,7 @@ def by_light(view: View, factors: FormFactors, found: Gathered, explained: Expla
     if not fits(result):
         return None
     light = DirectLight(view, factors, audit.gathered).of(lamps.moved(lamp, offset), lamp)[1]
-    before, after = audit.misfits(given.problem, given.result), audit.misfits(best.problem, result, light)
-    left = sum(after[g].energy for g in audit.flagged(best.problem, after))
-    if left > LEFT * sum(before[g].energy for g in audit.flagged(given.problem, before)):
+    if audit.energy(best.problem, result, light) > LEFT * audit.energy(given.problem, given.result):
         return None
     covariance = axes.T @ result.cov_cause @ axes
     twist = np.zeros((6, 6))

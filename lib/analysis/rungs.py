@@ -304,10 +304,8 @@ class _ShapeSearch:
 
     def __init__(self, site, lobe, g):
         self.lobe, self.found = lobe, {}
-        self.normal = site.main_normal(g)
-        x = site.surface.axes[np.flatnonzero(site.surface.group == g)[0], 0]
-        x = x - (x @ self.normal) * self.normal
-        self.x = x / np.linalg.norm(x)
+        facet = site.main_facet(g)
+        self.normal, self.x = site.surface.normal[facet], site.surface.axes[facet, 0]
 
     def at(self, alpha, tangent=None) -> LobeFit:
         alpha = np.clip(alpha, LOWEST, HIGHEST)

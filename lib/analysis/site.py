@@ -51,7 +51,7 @@ class Site:
     @cached_property
     def lamps(self):
         """The lamps' Emitters."""
-        return lamps.emitters(self.surface, self.factors.lamps)
+        return lamps.emitters(self.surface, self.factors.lamps, self.factors.lobes)
 
     @property
     def subcell(self):
@@ -176,10 +176,14 @@ class Site:
         p, side = surfaces.backproject(self.surface, self.view.camera, f, pixel)
         return MirrorView(f, side, p, np.zeros(len(pixel), np.int32), directions(self.view.camera, pixel))
 
-    def main_normal(self, group):
-        """Normal of the group's largest facet: about it the tangent turns."""
+    def main_facet(self, group):
+        """Number of the group's largest facet: about its normal the tangent turns."""
         f = np.flatnonzero(self.surface.group == group)
-        return self.surface.normal[f[np.argmax(self.surface.size[f].prod(axis=1))]]
+        return f[np.argmax(self.surface.size[f].prod(axis=1))]
+
+    def main_normal(self, group):
+        """The same facet's normal."""
+        return self.surface.normal[self.main_facet(group)]
 
 
 def site_of(

@@ -15,7 +15,7 @@ from lib.given.falloff import Lens
 from lib.given.transfer import Metric, Transfer
 from lib.given.view import View
 
-TERMS = 3
+NAME, TERMS = "vignetting", 3
 SPREAD = 1.0  # standard deviation of each k before anything is seen
 RISES = 0.05  # of V outwards, at most
 ROUNDS = 4  # of fitting and dividing
@@ -33,7 +33,7 @@ def _cause(problem: Problem, at, r2) -> CauseTerms:
     gain = 1.0 if problem.gain is None else problem.gain
     share = np.stack([r2 ** (j + 1) for j in range(TERMS)], axis=-1) / gain  # (T, k)
     columns = (at.slope * at.state.B)[..., None] * share[:, None, :]
-    return CauseTerms("vignetting", None, columns, np.full(TERMS, SPREAD))
+    return CauseTerms((NAME,) * TERMS, columns, np.full(TERMS, SPREAD))
 
 
 def _means(problem, values):
@@ -51,19 +51,19 @@ def promise(found: Candidate, lens: Lens, pixel) -> float:
 def fitted(found: Candidate, lens: Lens, pixel) -> Candidate:
     """The fit with a vignetted lens; its problem has the lens's gain. `taken` holds k, where that of `found` begins."""
     problem, at = found.problem, found.result.at
-    r2, k = _means(problem, lens.radius2(pixel)), found.taken.get("vignetting", {"k": np.zeros(TERMS)})["k"]
+    r2, k = _means(problem, lens.radius2(pixel)), found.taken.get(NAME, {"k": np.zeros(TERMS)})["k"]
     start = found.start
     for _ in range(ROUNDS):
-        trial = replace(problem, cause=_cause(problem, at, r2))
+        trial = replace(problem, cause=_cause(problem, at, r2).beside(problem.cause))
         result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=6)
-        at, step = result.at, result.state.cause
+        at, step = result.at, result.state.cause[trial.cause.of(NAME)]
         k = k + step
         problem = replace(problem, gain=_means(problem, lens.gain(pixel, k))[:, None])
         start = start._replace(rho=result.state.rho, E=result.state.E, transfer=result.state.transfer)
         if abs(step.sum()) < SETTLED:
             break
-    last = replace(problem, cause=_cause(problem, at, r2))
-    return Candidate.of(last, found.taken | {"vignetting": {"k": k, "centre_px": lens.centre}}, start=start)
+    last = replace(problem, cause=_cause(problem, at, r2).beside(problem.cause))
+    return Candidate.of(last, found.taken | {NAME: {"k": k, "centre_px": lens.centre}}, start=start)
 
 
 def fitted_from(found: Candidate, gammas, lens: Lens, pixel) -> Candidate:
@@ -78,7 +78,7 @@ def fitted_from(found: Candidate, gammas, lens: Lens, pixel) -> Candidate:
 
 def is_shadow(found: Candidate) -> bool:
     """A lens's shadow only deepens outwards; what does not is something else that the terms have bent to."""
-    k = found.taken["vignetting"]["k"] + found.result.state.cause
+    k = found.taken[NAME]["k"] + found.result.state.cause[found.problem.cause.of(NAME)]
     r2 = np.linspace(0, 1, 101)
     V = 1 + sum(value * r2 ** (j + 1) for j, value in enumerate(k))
     return bool((V - np.minimum.accumulate(V)).max() < RISES)

@@ -153,13 +153,16 @@ def told(rule: Callable, default=None, *, absent=False, needed=""):
     return _field(take, default, absent, needed)
 
 
-def part(cls, *, absent=False):
-    """A field that is another record, empty where nothing is said, or None where it may be absent."""
+def part(cls, *, absent=False, null=False):
+    """A field that is another record, empty where nothing is said.
+
+    absent : None then, and left out of the file;  null : None, and null in the file
+    """
 
     def take(value, where, problems):
         return made(cls, table(value), f"{where}.", problems)
 
-    return _field(take, None if absent else cls(), absent, "")
+    return _field(take, None if absent or null else cls(), absent, "")
 
 
 def table_of(cls, *, absent=False, needed=""):

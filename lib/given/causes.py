@@ -3,7 +3,7 @@
 One table for planning, which reads it without NumPy, and for the fit.
 """
 
-OF_PICTURE = ("curve", "vignetting")
+OF_PICTURE = ("curve", "vignetting", "lamp_lobe")
 GEOMETRIC = ("pose", "objects", "lamp_place")  # after which all that rests on camera and model is made again
 BUILT = (*OF_PICTURE, *GEOMETRIC)
-CAUSES = (*BUILT, "lamp_lobe", "glow", "fog")
+CAUSES = (*BUILT, "glow", "fog")

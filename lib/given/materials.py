@@ -15,6 +15,8 @@ import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from lib.core import artefact, record
 from lib.core.record import (
     Wrong,
@@ -128,11 +130,40 @@ class Group:
 
 
 @dataclass(frozen=True)
+class Lobe:
+    """How a lamp throws its light: pi x radiance = emittance x max(0, cos(direction, aim))^exponent."""
+
+    aim: tuple | None = told(numbers(3), needed="three numbers")
+    exponent: float | None = told(number(0), needed="a number from 0")
+
+    @property
+    def array(self):
+        """(4,) unit aim and exponent."""
+        aim = np.asarray(self.aim, float)
+        return np.append(aim / np.linalg.norm(aim), self.exponent)
+
+
+@dataclass(frozen=True)
+class LampSigma:
+    """Standard deviations of what was estimated of a lamp; of its aim the angle, of its place along the axes."""
+
+    emittance: tuple | None = told(numbers(3, 0), absent=True)
+    aim_deg: float | None = told(number(0), absent=True)
+    exponent: float | None = told(number(0), absent=True)
+    offset_m: tuple | None = told(numbers(3, 0), absent=True)
+
+
+@dataclass(frozen=True)
 class Lamp:
-    """sigma : None where the emittance was given;  rho_d : of a lamp that is a reference, too"""
+    """lobe : None where the lamp is lambertian;  offset_m : from its place in the model, None where it stands there
+    sigma, identified : None where all was given;  rho_d : of a lamp that is a reference, too
+    """
 
     emittance: tuple | None = told(numbers(3, 0))
-    sigma: tuple | None = told(numbers(3, 0))
+    lobe: Lobe | None = part(Lobe, null=True)
+    offset_m: tuple | None = told(numbers(3))
+    sigma: LampSigma | None = part(LampSigma, null=True)
+    identified: bool | None = told(flag)
     rho_d: tuple | None = told(numbers(3, 0, 1), absent=True)
 
 
@@ -228,6 +259,11 @@ class Materials:
     explained: list = list_of(Cause)
     why: list = list_of(Why)
 
+    @property
+    def lobes(self):
+        """{lamp: (4,) unit aim and exponent} of those that are not lambertian."""
+        return {name: lamp.lobe.array for name, lamp in self.lamps.items() if lamp.lobe is not None}
+
     def texture_files(self, path):
         """{group: {facet: file}}, the files as seen from where materials.json at `path` lies."""
         folder = Path(path).parent
@@ -256,6 +292,11 @@ def read_curve(path) -> Transfer:
     if found.matrix is not None:
         raise BadInput(f"{path}: matrix: {found.matrix} is not built yet: only null")
     return found.function
+
+
+def lobe(value):
+    """(4,) unit aim and exponent of scene.yaml's {aim, exponent}."""
+    return Lobe(tuple(map(float, value["aim"])), float(value["exponent"])).array
 
 
 def read_causes(path) -> list[Cause]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from lib.core.stage import BadInput
 from lib.light.balance import spectral_radius
 from lib.light.cells import Mesh
 from lib.light.form_factors import FormFactorRows
+from lib.light.lamps import LAMBERTIAN
 
 SHARE = 1 / 3  # of what the step to the next coarser cell would lose that is lost inside a cell
 CONTRACTS = 1e-3  # a spectral radius may exceed the largest row sum by so much: single precision, and the search
@@ -29,6 +30,18 @@ class FormFactors:
     groups: tuple
     group_area_m2: np.ndarray  # (G,)
     diagonal_m: float
+    # {name: (4,)} of lamps whose lobes lamp_factor knows; the file's are lambertian, throws.in_lobes
+    lobes: dict = field(default_factory=dict)
+
+    @property
+    def lobed(self):
+        """Numbers of the lamps that have a lobe."""
+        return [k for k, name in enumerate(self.lamps) if name in self.lobes]
+
+    @property
+    def lobe_of_lamps(self):
+        """(L, 4) unit aims and exponents."""
+        return np.array([self.lobes.get(name, LAMBERTIAN) for name in self.lamps]).reshape(-1, 4)
 
     @property
     def area(self):

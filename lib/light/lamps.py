@@ -6,7 +6,7 @@ contour formula) times its visible share, by shadow rays.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from lib.light.cells_kernels import patch_points
 from lib.light.form_factors import CHUNK
 from lib.light.lamps_kernels import LampArrays
 from lib.light.surface import Surface, covered, side_normals, triangle_areas
+
+LAMBERTIAN = np.array([0.0, 0.0, 1.0, -1.0])  # no lobe
 
 
 @dataclass(frozen=True)
@@ -32,17 +34,35 @@ class Emitter:
     # Facets of the plane mirrors that show it, the one nearest to the receiver first. Corners and normals are then
     # those of the mirror image.
     mirrors: tuple = ()
+    lobe: np.ndarray = field(default_factory=lambda: LAMBERTIAN)  # (4,) unit aim and exponent
 
     @property
     def arrays(self) -> LampArrays:
         """For kernels."""
-        return LampArrays(self.corners, self.normal, self.cdf)
+        return LampArrays(self.corners, self.normal, self.cdf, self.lobe)
+
+    @property
+    def has_lobe(self):
+        return self.lobe[3] >= 0
+
+    def thrown(self, along):
+        """(n,) radiance along directions (n, 3) over that along the aim."""
+        return thrown(self.lobe, along)
 
 
-def emitters(surface: Surface, lamps) -> list[Emitter]:
+def thrown(lobe, along):
+    """max(0, cos)^exponent of directions (..., 3) of any length, 1 of a lambertian lamp. lobe : (4,)"""
+    if lobe[3] < 0:
+        return np.ones(np.shape(along)[:-1])
+    cosine = along @ lobe[:3] / np.maximum(np.linalg.norm(along, axis=-1), 1e-300)
+    return np.where(cosine > 0, np.maximum(cosine, 1e-300) ** lobe[3], 0.0)
+
+
+def emitters(surface: Surface, lamps, lobes=None) -> list[Emitter]:
     """The lamps' facets: each by itself while they are few, together where a lamp is a mesh of many.
 
     lamps : names of the groups that emit, in the order of the columns of the factors
+    lobes : {name: (4,)} of those that throw their light in lobes
     """
     result = []
     area = triangle_areas(surface.corners)
@@ -53,7 +73,9 @@ def emitters(surface: Surface, lamps) -> list[Emitter]:
             t = np.flatnonzero(np.isin(surface.facet, chosen))
             cdf = np.cumsum(area[t]) / area[t].sum()
             facets_of_it = tuple(int(f) for f in chosen)
-            result.append(Emitter(lamp, surface.corners[t], surface.normal[surface.facet[t]], cdf, facets_of_it))
+            lobe = (lobes or {}).get(name, LAMBERTIAN)
+            normal = surface.normal[surface.facet[t]]
+            result.append(Emitter(lamp, surface.corners[t], normal, cdf, facets_of_it, lobe=lobe))
     return result
 
 

@@ -107,7 +107,9 @@ def _in_mirror(lamp: Emitter, mirror: PlaneMirror, before: PlaneMirror | None) -
         return None
     corners = lamp.corners - 2 * height[..., None] * n
     front = lamp.normal - 2 * (lamp.normal @ n)[:, None] * n
-    return Emitter(lamp.lamp, corners, front, lamp.cdf, mirrors=(mirror.facet, *lamp.mirrors))
+    aim, exponent = lamp.lobe[:3], lamp.lobe[3]
+    lobe = np.append(aim - 2 * (aim @ n) * n, exponent)
+    return Emitter(lamp.lamp, corners, front, lamp.cdf, mirrors=(mirror.facet, *lamp.mirrors), lobe=lobe)
 
 
 def add_lamps(D, mirrored, way, factor, n_lamps):
@@ -157,4 +159,7 @@ def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete):
     which[along <= 0] = -1  # the back of a lamp is dark
     density = np.where(which >= 0, met.t.astype(float), 0) ** 2 / np.maximum(along * lamp_areas(lamps)[which], 1e-300)
     share = 1 / (1 + np.where(np.isfinite(met.lobe), density / np.maximum(met.lobe, 1e-300), 0))
+    for k in np.flatnonzero([lamp.has_lobe for lamp in lamps]):
+        mine = which == k
+        share[mine] *= lamps[k].thrown(-met.rays[mine, 3:])
     return which, np.where(which >= 0, share, 0) * met.weight

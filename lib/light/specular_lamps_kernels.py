@@ -7,7 +7,7 @@ import numpy as np
 from lib.core.compiled import njit, prange
 from lib.given.rays_kernels import OFFSET
 from lib.light import ward_kernels as ward
-from lib.light.lamps_kernels import LampArrays, on_lamp
+from lib.light.lamps_kernels import LampArrays, on_lamp, thrown
 from lib.light.paths_kernels import Lobes, numbers
 from lib.light.surface_kernels import SurfaceArrays
 
@@ -62,5 +62,6 @@ def to_lamp(places: GlossyArrays, lobes: Lobes, surface: SurfaceArrays, lamp: La
         ax, ay = lobes.alpha[places.group[j], 0], lobes.alpha[places.group[j], 1]
         density = squared / (there * area)
         reflected = ward.value(lobes.form, ax, ay, ix, iy, iz, ox, oy, oz)
+        reflected *= thrown(lamp.lobe, -rays[j, 3], -rays[j, 4], -rays[j, 5])
         value[j] = reflected * iz / (density + ward.pdf(ax, ay, ix, iy, iz, ox, oy, oz))
     return rays, value

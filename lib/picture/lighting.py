@@ -22,33 +22,40 @@ from lib.picture.light_map import LightMap
 class Lighting:
     """lamp_groups : (L,) numbers of the groups that emit;  light : of the patches
     lamps : plain and mirrored Emitters, of emittances E (their number, C);  shown : what rays see
+    lobes : (L, 4) of the lamp groups
     ways : where rays go on at mirrors and glossy surfaces, None where there are none
     """
 
     surface: Surface
     appearance: Appearance
     lamp_groups: np.ndarray
+    lobes: np.ndarray
     light: Balance
     lamps: list
     E: np.ndarray
     shown: LightMap
     ways: SpecularLight | None = None
 
-    def radiosities(self, irradiance, facet, side, p):
-        """(M, C): what places p (M, 3) on facets reflect of their irradiance, and what the front of a lamp emits."""
-        return radiosities(self.surface, self.appearance, self.lamp_groups, irradiance, facet, side, p)
+    def radiosities(self, irradiance, facet, side, p, seen_along):
+        """(M, C): what places p (M, 3) on facets reflect of their irradiance, and what the front of a lamp emits.
+
+        seen_along : (M, 3) directions of view, of any length
+        """
+        of_lamps = zip(self.lamp_groups, self.lobes, strict=True)
+        return radiosities(self.surface, self.appearance, of_lamps, irradiance, facet, side, p, seen_along)
 
 
-def radiosities(surface: Surface, appearance: Appearance, lamp_groups, irradiance, facet, side, p):
-    """See `Lighting.radiosities`; any irradiance, for example that of eq. 3.1."""
+def radiosities(surface: Surface, appearance: Appearance, of_lamps, irradiance, facet, side, p, seen_along):
+    """See `Lighting.radiosities`; any irradiance, for example that of eq. 3.1. of_lamps : (group, lobe) of each"""
     group = surface.group[facet]
     B = appearance.rho[group] * irradiance
     for f, texture in appearance.maps.items():
         at = np.flatnonzero(facet == f)
         if len(at):
             B[at] = albedo_maps.lookup(texture, surface, p[at]) * irradiance[at]
-    for lamp, lamp_group in enumerate(lamp_groups):
-        B[(group == lamp_group) & (side & 1 == 0)] += appearance.E[lamp]
+    for lamp, (lamp_group, lobe) in enumerate(of_lamps):
+        at = (group == lamp_group) & (side & 1 == 0)
+        B[at] += appearance.E[lamp] * lamps.thrown(lobe, -seen_along[at])[:, None]
     return B
 
 
@@ -68,7 +75,7 @@ def lighting(
     timing : context manager by label
     """
     timing = timing or (lambda label: contextlib.nullcontext())
-    plain = lamps.emitters(surface, factors.lamps)
+    plain = lamps.emitters(surface, factors.lamps, factors.lobes)
     numbers = np.array([factors.groups.index(name) for name in factors.lamps], int)
     with timing("balance"):
         subcell = factors.subcell
@@ -82,7 +89,9 @@ def lighting(
             np.asarray(F @ np.ones(F.shape[1], np.float32)),
         )
         if appearance.finish is None:
-            light = balance([F], [factors.lamp_factor], patches, appearance.rho, appearance.E, numbers)
+            light = balance(
+                [F], [factors.lamp_factor], patches, appearance.rho, appearance.E, numbers, lobed=factors.lobed
+            )
             every, E, indirect, ways = plain, appearance.E, light.indirect, None
         else:
             if transport is None:
@@ -98,7 +107,7 @@ def lighting(
         shown = texels.light_map(
             surface, factors.mesh, every, E, indirect, exposed, rho_facet, texels=n_texels, ways=ways
         )
-    return Lighting(surface, appearance, numbers, light, every, E, shown, ways)
+    return Lighting(surface, appearance, numbers, factors.lobe_of_lamps, light, every, E, shown, ways)
 
 
 def _past_mirrors(F, subcell, factors, patches, appearance, lamp_groups, plain, transport: Transport):
@@ -110,7 +119,7 @@ def _past_mirrors(F, subcell, factors, patches, appearance, lamp_groups, plain, 
     Ds = [sum((D * power[k, c] for k, D in transport.D.items()), factors.lamp_factor) for c in range(C)]
     mirrored = np.zeros_like(appearance.rho)
     mirrored[list(appearance.finish.groups)] = appearance.rho_s
-    light = balance(Fs, Ds, patches, appearance.rho, E, lamp_groups, mirrored=mirrored)
+    light = balance(Fs, Ds, patches, appearance.rho, E, lamp_groups, mirrored=mirrored, lobed=factors.lobed)
     # mirrored lamps are lamps of their own in the picture; what lobes bring of the lamps is indirect light
     E_mirrored = np.array(
         [E[lamp.lamp] * power[k] for lamp, k in zip(transport.mirrored, transport.way, strict=True)]

@@ -60,7 +60,7 @@ def phong_picture(subject: Subject, picture: Picture):
     Returns the linear picture, the ambient intensity (C,) and the lamps' power relative to the true one (C,).
     """
     surface, look = subject.surface, replace(subject.appearance, maps={})
-    emitters = lamps.emitters(surface, subject.factors.lamps)
+    emitters, eye = lamps.emitters(surface, subject.factors.lamps), surface.local.points(subject.view.camera.centre)
     seen, pieces = picture.pixels, picture.fragments
     lit = phong(surface, emitters, seen.p, seen.side, look.E)
     use = np.flatnonzero(subject.counted[seen.y, seen.x])
@@ -73,7 +73,14 @@ def phong_picture(subject: Subject, picture: Picture):
 
     def shown(places, light):
         return radiosities(
-            surface, look, subject.lamp_groups, ambient + power * light, places.facet, places.side, places.p
+            surface,
+            look,
+            [*zip(subject.lamp_groups, subject.factors.lobe_of_lamps, strict=True)],
+            ambient + power * light,
+            places.facet,
+            places.side,
+            places.p,
+            places.p - eye,
         )
 
     there = phong(surface, emitters, pieces.p, pieces.side, look.E)

@@ -54,10 +54,11 @@ def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, m
 def _whole(surface, lamp, pixels, normals):
     """Factor of each pixel to a lamp if nothing stood in between, (M,).
 
-    Exact; for a lamp of many triangles exact at the middles of blocks of 4 x 4 pixels, and interpolated between.
+    Exact; for a lamp of many triangles or with a lobe exact at the middles of blocks of 4 x 4 pixels, and interpolated
+    between.
     """
     one = [replace(lamp, lamp=0)]
-    if len(lamp.corners) <= MANY or not len(pixels):
+    if (len(lamp.corners) <= MANY and not lamp.has_lobe) or not len(pixels):
         return lamps_.direct(surface, one, pixels.p, normals, pixels.side, 1, n_samples=1, shadows=False)[:, 0]
     first, last = pixel_blocks(pixels, np.zeros(1, np.int64), np.array([len(pixels)]), 2)
     p = np.stack([block_means(pixels.p[:, d], first, last) for d in range(3)], axis=1)

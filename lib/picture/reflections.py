@@ -133,7 +133,10 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
         tolerance=quality.tolerance,
     )
     between = interpolated(leaves, virtual)
-    B = lit.radiosities(by_lamps + between, virtual.facet, virtual.side, virtual.p)
+    along = np.zeros((H * W, 3))
+    along[mirror] = view.direction
+    along = along[virtual.y * W + virtual.x]
+    B = lit.radiosities(by_lamps + between, virtual.facet, virtual.side, virtual.p, along)
     power = lit.ways.chains.power(lit.ways.rho_s)
     out.linear[virtual.y, virtual.x] = B * power[out.chain[virtual.y, virtual.x]]
     out.indirect[virtual.y, virtual.x] = between
@@ -213,7 +216,9 @@ def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
     near, found = kernels.beside(out.indirect, out.label, _label(view.facet, view.chain)[there], y[there], x[there])
     lost = np.flatnonzero(~found)
     near[lost] = light_map.looked_up(lit.shown.between, lit.shown, surface, p[lost], side[lost])
-    B[there] = lit.radiosities(by_lamps + near, view.facet[there], side, p) * power[view.chain[there]]
+    B[there] = (
+        lit.radiosities(by_lamps + near, view.facet[there], side, p, view.direction[there]) * power[view.chain[there]]
+    )
     glossy = there[_kind(subject, view.facet[there]) == GLOSSY]
     if len(glossy):
         B[glossy] += lobes(

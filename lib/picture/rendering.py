@@ -77,7 +77,8 @@ def render(subject: Subject, quality: Quality = STANDARD, *, timing=None, trace=
             trace=trace,
         )
         between = interpolated(leaves, seen)
-    B = lit.radiosities(by_lamps + between, seen.facet, seen.side, seen.p)
+    eye = surface.local.points(camera.centre)
+    B = lit.radiosities(by_lamps + between, seen.facet, seen.side, seen.p, seen.p - eye)
     mirrored = None
     if subject.appearance.finish is not None:
         with timing("reflections"):
@@ -121,7 +122,8 @@ def _of_fragments(subject, lit, seen, by_lamps, between, pieces):
     thin = np.flatnonzero(~found)
     p, side = pieces.p[thin], pieces.side[thin]
     others[thin] = light_map.looked_up(lit.shown.between, lit.shown, subject.surface, p, side)
-    return lit.radiosities(direct + others, pieces.facet, pieces.side, pieces.p)
+    eye = subject.surface.local.points(subject.view.camera.centre)
+    return lit.radiosities(direct + others, pieces.facet, pieces.side, pieces.p, pieces.p - eye)
 
 
 def compose(shape, seen: Pixels, B, pieces: Fragments, B_fragment):

@@ -12,7 +12,7 @@ from lib.given.falloff import Lens
 from lib.given.transfer import Transfer, display_of_linear
 from lib.given.transfer_kinds import OF_LIGHT
 from lib.given.view import View
-from lib.light import factors_file, specular_file
+from lib.light import factors_file, specular_file, throws
 from lib.light import surface as surfaces
 from lib.light.factors_file import FormFactors
 from lib.light.specular_file import Traced
@@ -127,6 +127,7 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
     if traced is not None and not traced.fits(look.finish, len(factors.mesh)):
         traced = None
     surface = surfaces.surface(view.model, factors.lamps)
+    factors = throws.in_lobes(factors, surface, found.lobes)
     return Subject(
         view, surface, factors, pieces, look, found.transfer.function, traced, warnings, falloff(found, view)
     )

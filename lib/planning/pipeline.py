@@ -14,6 +14,7 @@ FACTS = (
     "lamps",
     "lamp_groups",
     "place_sigma_m",
+    "lobes",
     "reference",
     "transfer",
     "surfaces",

@@ -14,6 +14,8 @@ from lib.given.units import METRES
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "model", "goals", "augment", "params")
+SHARPEST = 1000  # exponent of a lamp's lobe
+SHARPEST = 1000  # exponent of a lamp's lobe
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 TRANSFERS = ("auto", *transfer_kinds.KINDS)
 
@@ -100,14 +102,33 @@ def lamps(value):
 def _more_of_lamp(where, lamp):
     """What a lamp's mapping says beside its emittance."""
     for key, value in lamp.items():
-        if key in ("lobe", "gradient"):
+        if key == "gradient":
             yield f"{where}.{key}", value, "is not built yet"
+        elif key == "lobe":
+            yield from _lobe(f"{where}.lobe", value)
         elif key not in ("emittance", "place_sigma_m"):
             known = "emittance, place_sigma_m, lobe, gradient"
             yield f"{where}.{key}", value, f"is an unknown key; known are {known}"
     sigma = lamp.get("place_sigma_m", 1.0)
     if not (finite(sigma) and sigma > 0):
         yield f"{where}.place_sigma_m", sigma, "is not a positive length in metres"
+
+
+def _lobe(where, value):
+    """`unknown`, or aim and exponent."""
+    if value == "unknown":
+        return
+    known = value if isinstance(value, dict) else {}
+    if "ies" in known:
+        yield f"{where}.ies", known["ies"], "is not built yet"
+    elif known.keys() != {"aim", "exponent"}:
+        yield where, value, "is neither `unknown` nor {aim: [x, y, z], exponent: n}"
+    else:
+        aim, exponent = known["aim"], known["exponent"]
+        if not (isinstance(aim, list) and len(aim) == 3 and all(map(finite, aim)) and any(aim)):
+            yield f"{where}.aim", aim, "is not a direction, three numbers"
+        if not (finite(exponent) and 0 <= exponent <= SHARPEST):
+            yield f"{where}.exponent", exponent, f"is not a number from 0 to {SHARPEST}"
 
 
 def reference(value):

@@ -62,7 +62,9 @@ class Scene:
             return sorted(self.lamps)
         if key == "lamps":
             return {name: lamp["emittance"] if isinstance(lamp, dict) else lamp for name, lamp in self.lamps.items()}
-        if key == "place_sigma_m":
+        if key == "lobes":
+            key = "lobe"
+        if key in ("place_sigma_m", "lobe"):
             lamps = {name: lamp for name, lamp in self.lamps.items() if isinstance(lamp, dict)}
             return {name: lamp[key] for name, lamp in lamps.items() if key in lamp}
         if key == "unit":

@@ -51,6 +51,8 @@ class Gatherer:
         self.first = mi.UInt32(first[:-1].astype(np.uint32))
         self.rho = vector([self.recipe.materials.get(p.group, (0, 0, 0)) for p in self.polygons])
         self.E = vector([self.recipe.lamps.get(p.group, (0, 0, 0)) for p in self.polygons])
+        lobes = [self.recipe.lobes.get(p.group, ((0, 0, 0), -1)) for p in self.polygons]
+        self.aim, self.exponent = vector([aim for aim, _ in lobes]), mi.Float(np.array([n for _, n in lobes], "f4"))
         self.is_lamp = mi.Bool(np.array([p.group in self.recipe.lamps for p in self.polygons]))
         self.owner = mi.UInt32(np.repeat(np.arange(len(self.polygons)), self.numbers).astype(np.uint32))
         zero = np.zeros(3 * self.texels, np.float32)
@@ -71,6 +73,14 @@ class Gatherer:
         return mi.Point2f(mi.radical_inverse_2(k, c), mi.sobol_2(k, d))
 
     # ---- light ----
+
+    def _thrown(self, polygon, d, active=True):
+        """What a lamp's polygon throws along unit directions d, over what it throws along its aim."""
+        import drjit as dr
+
+        exponent = dr.gather(self.mi.Float, self.exponent, polygon, active)
+        cosine = dr.dot(self._row(self.aim, polygon, active), d)
+        return dr.select(exponent < 0, 1, dr.select(cosine > 0, dr.power(dr.maximum(cosine, 1e-9), exponent), 0))
 
     def _meet(self, origin, d, active=True):
         """(met, distance, polygon, whether its front is met)."""
@@ -102,7 +112,7 @@ class Gatherer:
             lit = active & (cosines > 0)
             ray = mi.Ray3f(p, w, dr.sqrt(r2) - OFF_M, 0.0, [])
             lit &= ~self.scene.ray_test(ray, active=lit)
-            share = dr.select(lit, cosines * area / (np.pi * r2), 0)
+            share = dr.select(lit, cosines * area / (np.pi * r2), 0) * self._thrown(mi.UInt32(i), -w)
             total += share * mi.Vector3f(*map(float, self.recipe.lamps[polygon.group]))
         return total
 
@@ -215,7 +225,8 @@ class Gatherer:
             p = eye + distance * d + OFF_M * n
             reflected, _ = self._reflected(p, n, numbers, 1)
             light = reflected + self._from_lamps(p, n, numbers, 1000)
-            B = self._row(self.rho, polygon, shown) * light + self._row(self.E, polygon, shown)
+            B = self._row(self.rho, polygon, shown) * light
+            B += self._row(self.E, polygon, shown) * self._thrown(polygon, -d, shown)
             out[start : start + count] = _sums([dr.select(shown, c, 0) for c in B], spp).T / spp
         return out.reshape(H, W, 3)
 

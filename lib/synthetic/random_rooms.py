@@ -8,7 +8,7 @@ else.  A draw that would not do (something overlaps, a thing on the floor is har
 generator draws again.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,6 +48,19 @@ def white_room(which, *, size=(400, 300)) -> Recipe:
         recipe = _photographed(which, size, _with_gap(random, gap), random, _whites)
         if recipe:
             return recipe
+
+
+def lobed_room(seed, *, size=(400, 300)) -> Recipe:
+    """A random room whose lamps throw their light in lobes, downwards and aside; its scene.yaml does not say so."""
+    random = np.random.default_rng(list(f"lobed-{seed}".encode()))
+    recipe = random_room(f"lobed-{seed}", size=size)
+    lobes, lamps = {}, {}
+    for group, E in recipe.lamps.items():
+        aim = np.array([*random.uniform(-0.6, 0.6, 2), -1.0])
+        exponent = round(float(random.uniform(0.5, 4)), 2)
+        lobes[group] = tuple((aim / np.linalg.norm(aim)).tolist()), exponent
+        lamps[group] = scaled(1 + 0.35 * exponent, E)  # about as much light in all
+    return replace(recipe, lamps=lamps, lobes=lobes)
 
 
 # ---- furniture ----

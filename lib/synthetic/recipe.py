@@ -69,6 +69,7 @@ class Recipe:
     about: str = ""
     pair: Pair | None = None
     surfaces: dict = field(default_factory=dict)  # group -> Surface, of those that are more than diffuse
+    lobes: dict = field(default_factory=dict)  # lamp group -> (aim (3,) unit, exponent), of those not lambertian
 
     @property
     def groups(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ floor and touch the walls.
 from dataclasses import replace
 
 from lib.synthetic import mirrors_and_gloss, offices, stereo, textured
-from lib.synthetic.random_rooms import random_room, white_room
+from lib.synthetic.random_rooms import lobed_room, random_room, white_room
 from lib.synthetic.recipe import Recipe
 
 _DIFFUSE = {
@@ -44,8 +44,9 @@ _KINDS = {
 KIND_NAMES = tuple(_KINDS)  # mirrors, gloss, textures
 _RECIPES = _DIFFUSE | _STEREO | _KINDS
 ALL_NAMES = tuple(_RECIPES)
-# room-<seed> and small-<seed> are random rooms; white-<gap in mm>-<seed> and white-shelves-<seed> white ones with a gap
-RANDOM = {"room": (640, 480), "small": (400, 300), "white": (400, 300)}
+# room-<seed> and small-<seed> are random rooms; white-<gap in mm>-<seed> and white-shelves-<seed> white ones with a
+# gap; lobed-<seed> random rooms whose lamps throw their light in lobes
+RANDOM = {"room": (640, 480), "small": (400, 300), "white": (400, 300), "lobed": (400, 300)}
 
 
 def make(name) -> Recipe:
@@ -53,6 +54,8 @@ def make(name) -> Recipe:
     kind, _, seed = name.partition("-")
     if kind == "white" and seed:
         return replace(white_room(seed, size=RANDOM[kind]), name=name)
+    if kind == "lobed" and seed:
+        return replace(lobed_room(seed, size=RANDOM[kind]), name=name)
     if kind in RANDOM and seed:
         return replace(random_room(seed, size=RANDOM[kind]), name=name)
     return _RECIPES[name]()

@@ -194,11 +194,20 @@ def true_materials(recipe, pixels) -> dict:
     return {
         "status": "truth",
         "groups": groups,
-        "lamps": {g: {"emittance": list(map(float, E)), "sigma": None} for g, E in recipe.lamps.items()},
+        "lamps": {g: true_lamp(recipe, g) for g in recipe.lamps},
         "transfer": transfer,
         "scale": "lamps",
         "image": None,
     }
+
+
+def true_lamp(recipe, group) -> dict:
+    """What a lamp emits, and how."""
+    lamp = {"emittance": list(map(float, recipe.lamps[group])), "sigma": None}
+    if group in recipe.lobes:
+        aim, exponent = recipe.lobes[group]
+        lamp["lobe"] = {"aim": list(aim), "exponent": exponent}
+    return lamp
 
 
 def facet_of(recipe, group) -> int:

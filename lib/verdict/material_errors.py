@@ -23,6 +23,7 @@ tests/expected/<scene>.csv refer to them.
     texture.rho_d                 largest error of a group's mean
     gamma.absolute, gamma.in_sigmas
     lamp.mean_relative, lamp.max_relative              of the lamps that were unknown
+    lamp.aim_deg, lamp.exponent                        largest angle, largest relative error of the lamps' lobes
 
 Counted is a diffuse group with at least ENOUGH_PX pixels in truth's group image that is neither a lamp nor given as a
 reference. Truth says what a group is: a mirror that is found to be diffuse counts among the mirrors. Where truth and
@@ -71,7 +72,7 @@ def what_was_given(found: Materials, arguments: dict) -> Given:
     if isinstance(lamps, dict):
         known = [name for name in found.lamps if lamps.get(name) != "unknown"]
     else:
-        known = [name for name, lamp in found.lamps.items() if not lamp.sigma]
+        known = [name for name, lamp in found.lamps.items() if not (lamp.sigma and lamp.sigma.emittance)]
     return Given(frozenset(references), frozenset(known), arguments.get("surfaces") or {})
 
 
@@ -306,7 +307,7 @@ def compare_lamps(found: Materials, truth: Materials, known):
     entries, relative = {}, []
     for name, true in truth.lamps.items():
         ours = found.lamps.get(name)
-        value, sigma = (ours.emittance, ours.sigma) if ours else (None, None)
+        value, sigma = (ours.emittance, ours.sigma and ours.sigma.emittance) if ours else (None, None)
         off = None
         if value and true.emittance:
             off = tuple(v / t - 1 if t else None for v, t in zip(value, true.emittance, strict=True))
@@ -318,4 +319,14 @@ def compare_lamps(found: Materials, truth: Materials, known):
         if relative
         else []
     )
-    return entries or None, errors
+    return entries or None, [*errors, *_lobes(found, truth)]
+
+
+def _lobes(found: Materials, truth: Materials):
+    """Errors of lobes that both know."""
+    both = [(found.lobes[name], true) for name, true in truth.lobes.items() if name in found.lobes]
+    if not both:
+        return []
+    angle = max(math.degrees(math.acos(min(1.0, float(ours[:3] @ true[:3])))) for ours, true in both)
+    exponent = max(float(abs(ours[3] / true[3] - 1)) for ours, true in both if true[3] > 0)
+    return [("lamp.aim_deg", angle, "deg"), ("lamp.exponent", exponent)]

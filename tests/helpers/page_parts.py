@@ -74,7 +74,7 @@ def materials():
         "image": {"rmse": 0.003, "iterations": 4},
         "lamps": {
             "lamp": {"emittance": [4, 4, 4], "sigma": None},
-            "spot": {"emittance": [2, 2, 2], "sigma": [0.1, 0.1, 0.1]},
+            "spot": {"emittance": [2, 2, 2], "sigma": {"emittance": [0.1, 0.1, 0.1]}},
         },
         "transfer": {"kind": "gamma", "gamma": 2.004, "sigma": 0.003},
     }

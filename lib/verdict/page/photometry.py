@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.given import transfer_kinds
-from lib.given.materials import Group, Materials
+from lib.given.materials import LampSigma, Group, Materials
 from lib.verdict.comparison import Deviation, GroupComparison, LampComparison
 from lib.verdict.page import ladder
 from lib.verdict.page.html import css, finite, fixed, number, percent, plain, pm, render
@@ -236,8 +236,10 @@ def light_section(parts: Parts):
     rows = []
     for name, lamp in materials.lamps.items():
         cells = [_lamp_cell(lamp, truths.get(name, LampComparison()), c) for c in ((0,) if grey else (0, 1, 2))]
-        words = "estimated" if lamp.sigma else "by convention" if materials.scale == "convention" else "given"
-        rows.append((name, cells, words))
+        words = (
+            "estimated" if emittance_sigma(lamp) else "by convention" if materials.scale == "convention" else "given"
+        )
+        rows.append((name, cells, words, _lobe_in_words(lamp)))
     return render(
         "light.html",
         rows=rows,
@@ -247,11 +249,26 @@ def light_section(parts: Parts):
     )
 
 
+def _lobe_in_words(lamp):
+    if lamp.lobe is None:
+        return ""
+    sigma = lamp.sigma or LampSigma()
+    aim = ", ".join(f"{v:.3f}" for v in lamp.lobe.aim)
+    turn = f" within {sigma.aim_deg:.2f}°" if sigma.aim_deg else ""
+    return f"cos^{pm(lamp.lobe.exponent, sigma.exponent, 2)} about ({aim}){turn}"
+
+
+def emittance_sigma(lamp):
+    """(3,) or None, where the emittance was given."""
+    return lamp.sigma and lamp.sigma.emittance
+
+
 def _lamp_cell(lamp, against: LampComparison, c):
     value, sigma, relative, truth = (
-        values[c] if values else None for values in (lamp.emittance, lamp.sigma, against.relative, against.truth)
+        values[c] if values else None
+        for values in (lamp.emittance, emittance_sigma(lamp), against.relative, against.truth)
     )
-    compared = lamp.sigma is not None and finite(relative)
+    compared = emittance_sigma(lamp) is not None and finite(relative)
     out = compared and finite(sigma) and sigma > 0 and abs(value - truth) > 3 * sigma
     return LampCell(
         value=value,

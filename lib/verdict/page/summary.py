@@ -121,6 +121,9 @@ def _taken(cause):
     elif "rt_correction" in values:
         turn, move = np.degrees(far("rt_correction", slice(3))), 1000 * far("rt_correction", slice(3, 6))
         said = f"camera turned by {turn:.2f} degrees and moved by {move:.0f} mm"
+    elif "aim" in values:
+        aim = ", ".join(f"{v:.2f}" for v in values["aim"])
+        said = f"lamp {cause.subject!r} throws its light in a lobe, cos^{values['exponent']:.2f} about ({aim})"
     elif "offset_px" in values:
         said = f"principal point moved by {far('offset_px'):.2f} px"
     else:

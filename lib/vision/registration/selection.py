@@ -269,10 +269,9 @@ class Selection:
         full = self.held_out(blocks, zero, self._zeros(blocks))[0]
         return full - max(self.held_out(rest, x, start)[0] for start in (self._zeros(rest), None))
 
-    @staticmethod
-    def spare(nats, block):
-        """By how much a cause wins beyond what it must."""
-        return nats - (OF_CAMERA if block in (POSE, CENTRE) else ENOUGH)
+    def spare(self, nats, block):
+        """By how much a cause wins beyond what it must: where more objects may have moved, chance has more of them."""
+        return nats - (OF_CAMERA if block in (POSE, CENTRE) else ENOUGH + np.log(max(len(self.world.movable), 1)))
 
     def instead(self, blocks):
         """{block: nats} of the camera's other cause in place of the one that was taken, against neither."""

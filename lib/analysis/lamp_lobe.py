@@ -1,0 +1,216 @@
+"""Whether lamps throw their light in lobes: aim and exponent of max(0, cos)^exponent, fitted with the rest.
+
+The lambertian lamp's light at each patch and tile takes the lobe's share (lib/light/throws.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from lib.analysis.candidates import Candidate
+from lib.analysis.equations import Equations, Layout
+from lib.analysis.evidence import evidence
+from lib.analysis.gather import Gathered
+from lib.analysis.gauss_newton import gauss_newton
+from lib.analysis.problem import CauseTerms, Problem
+from lib.analysis.transport import TileLight
+from lib.given.view import View
+from lib.light import surface as surfaces
+from lib.light import throws
+from lib.light.balance import reflected, times
+from lib.light.factors_file import FormFactors
+from lib.light.throws import Throws
+
+NAME = "lamp_lobe"
+LEAST, MOST = 0.05, 100.0  # exponents: what is flatter or sharper is no lobe that a photograph tells of
+SPREAD = np.array([0.5, 0.5, 1.0])  # of a step: two turns of the aim, rad, and the exponent's logarithm
+UNEVEN = 1.0  # standard deviation of each number of 1 + a . direction
+FADES = 0.3  # of the mean light, the least that uneven light is taken to have left
+FIRST = (1.0, 3.0)  # exponents to begin with
+SETTLES = 0.2  # of the typical residual: what leaves no more needs no other start
+ROUNDS, SETTLED, INNER = 20, 5e-3, 2
+PATIENCE, GAINS = 3, 0.98  # rounds after which the error must have fallen to such a share
+
+
+@dataclass(frozen=True, eq=False)
+class LampLobes:
+    """The ways of the lamps' light to the patches and the tiles of a scene whose lamps are lambertian in `factors`.
+
+    wanted : names of the lamps that may have a lobe;  asked : scene.yaml asks for one
+    """
+
+    view: Callable[[], View]
+    factors: FormFactors
+    found: Gathered
+    wanted: tuple
+    asked: bool = False
+
+    @cached_property
+    def ways(self) -> dict[str, tuple[Throws, Throws]]:
+        """{lamp: to the patches, to the tiles}."""
+        view = self.view()
+        surface = surfaces.surface(view.model, self.factors.lamps)
+        return {
+            lamp: (
+                throws.to_patches(surface, self.factors, lamp),
+                to_tiles(surface, view.camera, self.found, lamp),
+            )
+            for lamp in self.wanted
+        }
+
+    def problem(self, problem: Problem, lobes) -> Problem:
+        """The same where lamps have these lobes, {name: (4,)}, and no others."""
+        D, D_tile = self.factors.lamp_factor.copy(), self.found.tiles.direct.copy()
+        for lamp, lobe in lobes.items():
+            k = problem.lamps.index(lamp)
+            D[:, k] *= self.ways[lamp][0].share(lobe)
+            D_tile[:, k] *= self.ways[lamp][1].share(lobe)
+        return replace(problem, D=D, D_tile=D_tile)
+
+    def columns(self, at: Equations, lamp, slopes):
+        """(T, C, m) derivatives of the display residual. slopes : those (N, m), (T, m) of the shares of a lamp"""
+        problem, state = at.problem, at.state
+        k, m = problem.lamps.index(lamp), slopes[0].shape[1]
+        E, C = state.E[k], problem.channels
+        lambertian = self.factors.lamp_factor[:, k, None], self.found.tiles.direct[:, k, None]
+        by_lamp = [s * D for s, D in zip(slopes, lambertian, strict=True)]
+        first, seen = ((s[:, :, None] * E).reshape(len(s), m * C) for s in by_lamp)
+        rho = np.tile(state.rho[problem.patch_group], m)
+        b = reflected(at.light.matrices.F, rho, rho * first, tolerance=1e-3).b
+        B = np.tile(state.rho[problem.tile_group], m) * (seen + times([problem.G], b))
+        return at.slope[:, :, None] * B.reshape(len(B), m, C).transpose(0, 2, 1)
+
+    def uneven(self, at: Equations) -> CauseTerms:
+        """Light that is 1 + a . direction in place of lambertian, of each lamp: the first step towards any lobe."""
+        columns = [self.columns(at, lamp, [way.moments() for way in self.ways[lamp]]) for lamp in self.wanted]
+        n = len(columns)
+        return CauseTerms((NAME,) * 3 * n, np.concatenate(columns, axis=-1), np.full(3 * n, UNEVEN))
+
+    def like(self, lamp, a, exponent):
+        """(4,) the lobe that changes as 1 + a . direction does, about the mean direction of the light."""
+        to_tiles = self.ways[lamp][1]
+        middle = (to_tiles.weight[..., None] * to_tiles.along).sum(axis=(0, 1))
+        middle /= max(np.linalg.norm(middle), 1e-12)
+        slope = (a - (a @ middle) * middle) / max(1 + a @ middle, FADES)
+        aim = middle + slope / exponent
+        return np.append(aim / np.linalg.norm(aim), exponent)
+
+    def cause(self, at: Equations, lobes) -> CauseTerms:
+        """Turns and exponents of all lobes, linearised at equations of this very light."""
+        columns = []
+        for lamp, lobe in lobes.items():
+            slopes = [way.slopes(lobe, across(lobe)) for way in self.ways[lamp]]
+            columns.append(self.columns(at, lamp, slopes))
+        return CauseTerms((NAME,) * 3 * len(lobes), np.concatenate(columns, axis=-1), np.tile(SPREAD, len(lobes)))
+
+
+def to_tiles(surface, camera, found: Gathered, lamp) -> Throws:
+    """From a lamp to some pixels of each tile."""
+    tiles = found.tiles
+    n, places = np.diff(tiles.start), (np.arange(throws.PLACES) + 0.5) / throws.PLACES
+    pixel = tiles.pixel[tiles.start[:-1, None] + (n[:, None] * places).astype(np.int64)]
+    p, side = surfaces.backproject(surface, camera, np.repeat(tiles.facet, throws.PLACES), pixel.ravel())
+    normal = surfaces.side_normals(surface)[side[:: throws.PLACES]]
+    return throws.throws(surface, lamp, p.reshape(len(n), throws.PLACES, 3), normal)
+
+
+def in_lobes(view: View, factors: FormFactors, lobes, *gathered: Gathered):
+    """(factors, *gathered) of a scene whose lamps throw their light in lobes {name: (4,)}."""
+    surface = surfaces.surface(view.model, factors.lamps)
+    result = [throws.in_lobes(factors, surface, lobes)]
+    for found in gathered:
+        direct = found.tiles.direct.copy()
+        for lamp, lobe in lobes.items():
+            direct[:, factors.lamps.index(lamp)] *= to_tiles(surface, view.camera, found, lamp).share(lobe)
+        result.append(replace(found, tiles=replace(found.tiles, direct=direct)))
+    return result
+
+
+def across(lobe):
+    """(2, 3) unit directions in which the aim may turn."""
+    aim = lobe[:3]
+    one = np.cross(aim, np.eye(3)[np.abs(aim).argmin()])
+    one /= np.linalg.norm(one)
+    return np.stack([one, np.cross(aim, one)])
+
+
+def moved(lobe, step):
+    """(4,) after two turns, rad, and a step of the exponent's logarithm."""
+    aim = lobe[:3] + np.tan(np.clip(step[:2], -0.5, 0.5)) @ across(lobe)
+    exponent = np.clip(lobe[3] * np.exp(np.clip(step[2], -1, 1)), LEAST, MOST)
+    return np.append(aim / np.linalg.norm(aim), exponent)
+
+
+def stepped(lobes, terms: CauseTerms, cause):
+    """Lobes {lamp: (4,)} after the last steps (k,) of a fit with these terms."""
+    steps = cause[terms.of(NAME)].reshape(-1, 3)
+    return {lamp: moved(lobe, step) for (lamp, lobe), step in zip(lobes.items(), steps, strict=True)}
+
+
+def uneven(found: Candidate, lobes: LampLobes) -> Candidate:
+    """The fit with light that is 1 + a . direction, from which any lobe shows. `taken` holds a, {lamp: (3,)}."""
+    terms = lobes.uneven(found.result.at).beside(_others(found.problem))
+    problem = replace(found.problem, cause=terms)
+    result = gauss_newton(problem, start=found.start, finish=False, tolerance=1e-2, max_iterations=12)
+    a = result.state.cause[terms.of(NAME)].reshape(-1, 3)
+    return Candidate(problem, result, evidence(problem, result.at), dict(zip(lobes.wanted, a, strict=True)))
+
+
+def begun(found: Candidate, first: Candidate, lobes: LampLobes) -> Candidate:
+    """The fit with a lobe of each lamp, from where uneven light points. first : of `uneven`"""
+    tried = []
+    for n in FIRST:
+        tried.append(fitted(found, lobes, {lamp: lobes.like(lamp, a, n) for lamp, a in first.taken.items()}))
+        if tried[-1].typical < SETTLES * found.typical:
+            break
+    return max(tried, key=lambda c: c.evidence.nats)
+
+
+def _others(problem):
+    """What the problem's cause has of other causes, or None."""
+    if problem.cause is None or problem.cause.of(NAME).all():
+        return None
+    kept = ~problem.cause.of(NAME)
+    return CauseTerms(
+        tuple(np.array(problem.cause.names)[kept]), problem.cause.columns[..., kept], problem.cause.spread[kept]
+    )
+
+
+def fitted(found: Candidate, lobes: LampLobes, more=None) -> Candidate:
+    """The fit with lobes where they suit best: those of `found`, and more {lamp: (4,)}. `taken` holds them."""
+    lobes_at, start, others = found.taken.get(NAME, {}) | (more or {}), found.start, _others(found.problem)
+    base = replace(found.problem, cause=others)
+    at, radius = _plain(lobes.problem(base, lobes_at), start), 1.0
+    errors = [_error(at)]
+    while len(errors) < ROUNDS and (len(errors) <= PATIENCE or errors[-1] < GAINS * errors[-1 - PATIENCE]):
+        terms = lobes.cause(at, lobes_at)
+        trial = replace(at.problem, cause=terms._replace(spread=radius * terms.spread).beside(others))
+        result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=INNER)
+        steps = np.abs(result.state.cause[trial.cause.of(NAME)]).max()
+        there = stepped(lobes_at, trial.cause, result.state.cause)
+        begin = start._replace(rho=result.state.rho, E=result.state.E, transfer=result.state.transfer)
+        after = _plain(lobes.problem(base, there), begin)
+        errors.append(min(_error(after), errors[-1]))
+        if errors[-1] < errors[-2]:
+            lobes_at, start, at, radius = there, begin, after, min(2 * radius, 1.0)
+        else:
+            radius /= 4
+        if steps < SETTLED:
+            break
+    last = replace(at.problem, cause=lobes.cause(at, lobes_at).beside(others))
+    return Candidate.of(last, found.taken | {NAME: lobes_at}, start=start)
+
+
+def _error(at: Equations):
+    """Mean display error of the tiles: outliers have no more than their share."""
+    return np.abs(at.residual).mean()
+
+
+def _plain(problem, start) -> Equations:
+    """The equations without a cause, where a fit ended."""
+    problem = replace(problem, cause=None)
+    return Equations(problem, TileLight(problem), Layout.of(problem), start._replace(cause=None))

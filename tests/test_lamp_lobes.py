@@ -1,0 +1,145 @@
+"""Lamps that throw their light in lobes: the factors, what arrives of them, and what a photograph tells of them."""
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lib.analysis.lamp_lobe import across, moved
+from lib.given import materials
+from lib.light import lamps as lamps_
+from lib.light import lamps_kernels as kernels
+from lib.light import specular_lamps, throws
+from lib.light import surface as surfaces
+from lib.light.chains import Chains
+from lib.light.lamps import LAMBERTIAN, thrown
+from tests.helpers import rooms
+from tests.helpers.small_scenes import closed_room, finish, rectangle, surface
+
+ROOT = Path(__file__).resolve().parents[1]
+LAMP = np.array([[0, 0, 2.0], [0, 0.8, 2.0], [1.2, 0, 2.0]])  # shines downwards
+
+
+def lobe(aim, exponent):
+    return np.append(np.array(aim) / np.linalg.norm(aim), exponent)
+
+
+def test_what_is_thrown():
+    """max(0, cos)^exponent, of any length; a lobe of exponent 0 is even before the lamp and dark behind it."""
+    along = np.array([[0, 0, -2.0], [0, 3.0, -3.0], [0, 1.0, 0.1]])
+    assert np.allclose(thrown(lobe((0, 0, -1), 2), along), [1, 0.5, 0])
+    assert np.allclose(thrown(lobe((0, 0, -1), 0), along), [1, 1, 0])
+    assert np.allclose(thrown(LAMBERTIAN, along), 1)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.5, 3.0, 20.0])
+def test_the_factor_of_a_lobe_is_its_integral(exponent):
+    """Against two million points of the lamp; receivers lie near, far, beside and aslant."""
+    rng = np.random.default_rng(1)
+    p = np.vstack([rng.uniform((-2, -2, 0), (2, 2, 1.8), (10, 3)), [[0.4, 0.3, 1.9]]])
+    normals = np.array([[0, 0, 1.0], [0, 0.6, 0.8]])
+    which, aim = np.arange(len(p)) % 2, lobe((0.3, 0.2, -1), exponent)
+    lamp = kernels.LampArrays(LAMP[None], np.array([[0, 0, -1.0]]), np.ones(1), aim)
+    found = kernels.factors(p, which, normals, lamp)
+    a, b = rng.random((2, 2_000_000))
+    r = np.sqrt(a)[:, None]
+    q = (1 - r) * LAMP[0] + r * (1 - b[:, None]) * LAMP[1] + r * b[:, None] * LAMP[2]
+    for i in range(len(p)):
+        way = p[i] - q
+        d = np.linalg.norm(way, axis=1)
+        here, there = np.maximum(-way @ normals[which[i]], 0) / d, np.maximum(-way[:, 2], 0) / d
+        true = (thrown(aim, way) * here * there / d**2).mean() * 0.48 / np.pi
+        assert found[i] == pytest.approx(true, rel=5e-3, abs=1e-5)
+
+
+# ---- in a room ----
+
+
+@pytest.fixture(scope="module")
+def room():
+    """A closed room under a lamp of 1.2 x 0.7 m."""
+    lamp = ("lamp", rectangle((1.4, 1.0, 2.4), (0, 0.7, 0), (1.2, 0, 0)))
+    return surface([*closed_room(), lamp], ("lamp",))
+
+
+@pytest.mark.parametrize("exponent", [0.5, 2.5, 8.0])
+def test_a_share_of_the_lambertian_light_arrives(room, exponent):
+    """Few rays tell the share of a patch as well as the lamp's factors do; its slopes are its differences."""
+    aim, mesh = lobe((0.3, 0.1, -1), exponent), rooms.patches(room, 150)
+    normal = surfaces.side_normals(room)[mesh.side]
+    even, aimed = (
+        lamps_.direct(
+            room,
+            lamps_.emitters(room, ["lamp"], lobes),
+            mesh.centre,
+            normal,
+            np.arange(len(mesh)),
+            1,
+            n_samples=1,
+            shadows=False,
+        )[:, 0]
+        for lobes in ({}, {"lamp": aim})
+    )
+    ways = throws.throws(room, "lamp", mesh.centre[:, None], normal)
+    lit = even > 0.01 * even.max()
+    assert np.allclose(ways.share(aim)[lit], (aimed / np.maximum(even, 1e-12))[lit], rtol=0.02, atol=0.01)
+    axes = across(aim)
+    for k, step in enumerate(1e-4 * np.eye(3)):
+        there, back = (ways.share(moved(aim, sign * step)) for sign in (1, -1))
+        assert np.allclose((there - back) / 2e-4, ways.slopes(aim, axes)[:, k], atol=2e-2 * max(exponent, 1))
+
+
+def test_a_mirror_shows_a_lobe_mirrored(room):
+    """A mirror on the floor throws the light up again, along the mirrored aim."""
+    lamps, chains = lamps_.emitters(room, ["lamp"], {"lamp": lobe((0.3, 0.1, -1), 2)}), Chains(1)
+    (image, *_), *_ = specular_lamps.mirrored_lamps(room, finish(room, bottom="mirror"), chains, lamps)
+    assert np.allclose(image.lobe, lobe((0.3, 0.1, 1), 2))
+
+
+# ---- a photograph ----
+
+
+def fitted(folder, facts):
+    """materials.json of the lobed room under other facts."""
+    scene = folder / "data/lobed"
+    shutil.copytree(ROOT / "data/lobed-8", scene, ignore=shutil.ignore_patterns("truth"))
+    (scene / "scene.yaml").write_text(facts)
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k not in ("MFLAGS", "BUILD", "DATA")}
+    words = ["make", f"DATA={folder / 'data'}", f"BUILD={folder / 'build'}", "lobed/fit"]
+    run = subprocess.run(words, cwd=ROOT, env=clean, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    return materials.read(folder / "build/lobed/materials.json")
+
+
+TRUTH = materials.read(ROOT / "data/lobed-8/truth/materials.json")
+LAMP_YAML = "lamps: {lamp: {emittance: [36.2979, 31.3137, 27.1693], lobe: %s}}\n"
+
+
+def error(found):
+    pairs = [(found.groups[name].rho_d, group.rho_d) for name, group in TRUTH.groups.items()]
+    return np.mean([np.abs(np.divide(ours, true) - 1) for ours, true in pairs if ours is not None])
+
+
+def test_a_lobe_that_is_told_is_taken_as_it_is(tmp_path):
+    true = TRUTH.lamps["lamp"].lobe
+    told = json.dumps({"aim": [2 * v for v in true.aim], "exponent": true.exponent})
+    found = fitted(tmp_path, LAMP_YAML % told)
+    assert found.status == "converged" and found.explained == [] and error(found) < 0.01
+    assert found.lamps["lamp"].sigma is None and np.allclose(found.lobes["lamp"], TRUTH.lobes["lamp"])
+
+
+def test_a_lobe_that_is_asked_for_is_found_without_leave(tmp_path):
+    found = fitted(tmp_path, LAMP_YAML % "unknown" + "explain: []\n")
+    lamp, sigma = found.lobes["lamp"], found.lamps["lamp"].sigma
+    assert found.status == "converged" and error(found) < 0.01
+    assert np.degrees(np.arccos(lamp[:3] @ TRUTH.lobes["lamp"][:3])) < 3 * sigma.aim_deg < 2
+    assert abs(lamp[3] - TRUTH.lobes["lamp"][3]) < 3 * sigma.exponent < 0.1
+
+
+def test_without_leave_a_lobe_is_a_misfit(tmp_path):
+    found = fitted(tmp_path, "lamps: {lamp: [36.2979, 31.3137, 27.1693]}\nexplain: []\n")
+    assert found.status == "does not fit" and not any(group.identified for group in found.groups.values())
