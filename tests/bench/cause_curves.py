@@ -1,6 +1,9 @@
 """Error against CPU time of what is put right before materials are looked for (for tests/bench).
 
 pose        `office` seen from 2 px beside: what is left of the error, px, by the width at which edges are placed
+objects     a box of `office` 3 cm beside: what is left, m, by the same width
+lamp_place  the lamp of `office` 12 cm beside: reflectances, by the rounds of moving it
+lamp_lobe   `lobed-8`, whose scene.yaml tells of no lobe: reflectances, by the rounds of fitting it
 vignetting  cos^4, 37 degrees in the corner, by the number of radial terms: reflectances
 response    a film curve, by the function that is fitted: reflectances
 noise       3 and 10 % of displayed values, tiles as means and as medians: reflectances
@@ -17,13 +20,16 @@ from tests.bench.fit_curves import SETTINGS, Case
 
 HEAD = ("cause", "scene", "setting", "cpu_s", "error", "unit")
 DRAWS = 6
+MOVED = ("carton", "bin", "cabinet")  # of `office`, on its floor
 WIDTHS = (160, 320, 640)  # px, at which edges are placed
 
 
 def measure(log):
     """Rows of HEAD."""
     cases = [Case(scene) for scene in ("office", "gallery-white")]
-    rows = list(poses(cases[0]))
+    rows = [*poses(cases[0]), *objects(cases[0])]
+    for of_lamp, case in ((lamp_place, Case("office")), (lamp_lobe, Case("lobed-8"))):
+        rows += [(cause, case.name, setting, cpu_s, error, "1") for cause, setting, cpu_s, error in of_lamp(case)]
     for case in cases:
         light = case.photograph.values**case.gamma
         case.problem(*SETTINGS[0])  # warm-up
@@ -60,6 +66,67 @@ def poses(case):
             left.append(np.median(np.linalg.norm(shown(T) - shown(true), axis=1)))
         yield "pose", case.name, f"{width} px", (time.process_time() - began) / DRAWS, float(np.median(left)), "px"
     register.PLACING_PX, register.SEARCH_PX = usual
+
+
+def objects(case):
+    """A thing that is free to move, off by 3 cm along the floor at random; what is left of it, median of the draws."""
+    from lib.given.cameras import matrix_from_rt
+    from lib.vision.registration import register
+    from lib.vision.registration.motions import World, corrected_model
+
+    usual, random = (register.PLACING_PX, register.SEARCH_PX), np.random.default_rng(8)
+    free = [thing for thing in World(case.model, case.camera).movable if case.model.objects[thing] in MOVED]
+    angles = random.uniform(0, 2 * np.pi, DRAWS)
+    moves = [(free[k % len(free)], 0.03 * np.array([np.cos(a), np.sin(a), 0])) for k, a in enumerate(angles)]
+    for width in WIDTHS:
+        register.PLACING_PX, register.SEARCH_PX = width, min(width, usual[1])
+        left, began = [], time.process_time()
+        for thing, move in moves:
+            given = corrected_model(case.model, {thing: matrix_from_rt([0, 0, 0, *move])})
+            found = register.register(given, case.camera, case.photograph)
+            back = found.objects.get(case.model.objects[thing])
+            left.append(np.linalg.norm(move + (0 if back is None else np.array(back.rt[3:]))))
+        yield "objects", case.name, f"{width} px", (time.process_time() - began) / DRAWS, float(np.median(left)), "m"
+    register.PLACING_PX, register.SEARCH_PX = usual
+
+
+def lamp_place(case):
+    """The lamp in the model 12 cm from where it was."""
+    from lib.analysis import lamp_place as own
+    from lib.analysis.candidates import Candidate
+    from lib.analysis.direct_light import DirectLight
+    from lib.given.cameras import matrix_from_rt
+    from lib.vision.registration.motions import corrected_model
+
+    case.problem(*SETTINGS[0])
+    name = case.factors.lamps[0]
+    thing, _ = own.Lamps.of(DirectLight(case.view, case.factors, case.found)).things[name]
+    case.model = corrected_model(case.model, {thing: matrix_from_rt([0, 0, 0, 0.1, 0.066, 0])})
+    problem, _ = case.problem(*SETTINGS[2])
+    lamps, usual = own.Lamps.of(DirectLight(case.view, case.factors, case.found)), own.ROUNDS
+    first = Candidate.of(problem)
+    yield "lamp_place", "as drawn", 0.0, case.errors(first.result.state)[0]
+    for rounds in (1, 2, 3, 6):
+        began, own.ROUNDS = time.process_time(), rounds
+        found = own.fitted(first, lamps, name, 0.1)
+        yield "lamp_place", f"{rounds} rounds", time.process_time() - began, case.errors(found.result.state)[0]
+    own.ROUNDS = usual
+
+
+def lamp_lobe(case):
+    """From the lambertian lamp that scene.yaml tells of."""
+    from lib.analysis import lamp_lobe as own
+    from lib.analysis.candidates import Candidate
+
+    problem, _ = case.problem(*SETTINGS[2])
+    lobes, usual = own.LampLobes(lambda: case.view, case.factors, case.found, case.factors.lamps), own.ROUNDS
+    first = Candidate.of(problem)
+    yield "lamp_lobe", "lambertian", 0.0, case.errors(first.result.state)[0]
+    for rounds in (2, 3, 4, 6, usual):
+        began, own.ROUNDS = time.process_time(), rounds
+        found = own.begun(first, own.uneven(first, lobes), lobes)
+        yield "lamp_lobe", f"{rounds - 1} rounds", time.process_time() - began, case.errors(found.result.state)[0]
+    own.ROUNDS = usual
 
 
 def _project(K, T, points):
@@ -131,11 +198,11 @@ def plot(rows, axes):
     """Left: the pose; right: reflectances, one line for each cause and scene."""
     for cause, scene in dict.fromkeys((r[0], r[1]) for r in rows):
         mine = [r for r in rows if r[:2] == (cause, scene)]
-        ax = axes[0] if cause == "pose" else axes[1]
+        ax = axes[0] if cause in ("pose", "objects") else axes[1]
         ax.loglog(
             [max(r[3], 1e-3) for r in mine], [max(r[4], 1e-4) for r in mine], "-o", ms=3, label=f"{cause}, {scene}"
         )
         for r in mine:
             ax.annotate(r[2], (max(r[3], 1e-3), max(r[4], 1e-4)), fontsize=6)
-    axes[0].set(title="camera 2 px off", xlabel="CPU s", ylabel="left of the error, px")
+    axes[0].set(title="camera 2 px off", xlabel="CPU s", ylabel="left of the error, px or m")
     axes[1].set(title="light, lens, noise", xlabel="CPU s of the fit", ylabel="mean relative reflectance error")

@@ -87,6 +87,7 @@ class Case:
         )
         view = View(self.camera, self.model, self.photograph, self.facet)
         sampling = gather.Sampling(rays_per_tile=per_tile, rays_per_facet=per_facet)
+        self.view, self.factors = view, factors
         self.found = found = gather.gathered(view, surface, factors, self.trusted, sampling)
         made = facts.problem_of(
             factors, found, lamps=self.facts["lamps"], reference=self.facts.get("reference", {}), transfer=None
