@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.given import transfer_kinds
-from lib.given.materials import LampSigma, Group, Materials
+from lib.given.materials import Group, LampSigma, Materials
 from lib.verdict.comparison import Deviation, GroupComparison, LampComparison
 from lib.verdict.page import ladder
 from lib.verdict.page.html import css, finite, fixed, number, percent, plain, pm, render
