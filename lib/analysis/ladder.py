@@ -99,6 +99,7 @@ class _Step:
         self.sure_only = sure_only
         self.site, self.here, self.wanted, self.settled, self.threshold = site, here, wanted, settled, threshold
         over = {g for g, m in here.misfits.items() if g not in settled and is_over(m, threshold)}
+        over -= self._of_several_materials(over)
         self.trials, explained = {}, 0.0
         for g in sorted({*over, *wanted}, key=self.energy, reverse=True):
             if sure_only and g not in wanted and len(self.trials) >= FEW:
@@ -107,6 +108,16 @@ class _Step:
                 continue  # its error may be the other one's light: it is asked again
             self.trials[g] = self._tried(g)
             explained = max([explained] + [self.energy(g) for t in self.trials[g] if t.explained > 0.8])
+
+    def _of_several_materials(self, over) -> set:
+        """The groups whose objects have a reflectance each: no material of the whole group explains them."""
+        if self.here.finish is not None:
+            return set()
+        here, site = self.here, self.site
+        found = misfits.parts(
+            site.subcell, here.problem, here.result, here.tiles, [g for g in over if g not in self.wanted]
+        )
+        return {g for g, parts in found.items() if parts.unlike and parts.explained > SURE}
 
     def energy(self, g):
         """What the group is off by as a whole; without bound where no pixel tells."""

@@ -33,7 +33,8 @@ FADES = 0.3  # of the mean light, the least that uneven light is taken to have l
 FIRST = (1.0, 3.0)  # exponents to begin with
 SETTLES = 0.2  # of the typical residual: what leaves no more needs no other start
 ROUNDS, SETTLED, INNER = 20, 5e-3, 2
-PATIENCE, GAINS = 3, 0.98  # rounds after which the error must have fallen to such a share
+# rounds after which the error must have fallen to such a share, and below such a share of what it was without lobes
+PATIENCE, GAINS, HOPE = 3, 0.98, 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +186,8 @@ def fitted(found: Candidate, lobes: LampLobes, more=None) -> Candidate:
     lobes_at, start, others = found.taken.get(NAME, {}) | (more or {}), found.start, _others(found.problem)
     base = replace(found.problem, cause=others)
     at, radius = _plain(lobes.problem(base, lobes_at), start), 1.0
-    errors = [_error(at)]
-    while len(errors) < ROUNDS and (len(errors) <= PATIENCE or errors[-1] < GAINS * errors[-1 - PATIENCE]):
+    errors, enough = [_error(at)], HOPE * np.abs(found.result.tile_residual).mean()
+    while len(errors) < ROUNDS and (len(errors) <= PATIENCE or errors[-1] < min(GAINS * errors[-1 - PATIENCE], enough)):
         terms = lobes.cause(at, lobes_at)
         trial = replace(at.problem, cause=terms._replace(spread=radius * terms.spread).beside(others))
         result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=INNER)

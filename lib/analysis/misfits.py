@@ -11,6 +11,8 @@ from lib.analysis.receivers import Receivers, Ways
 from lib.given.transfer import Metric, Transfer
 
 ENOUGH = 12  # tiles of a group without which it is not judged
+OTHER = 0.1  # relative difference of an object's reflectance from its group's that is worth a word
+UNLIKE = 0.25  # the same of an object that only its untrusted pixels tell of
 THRESHOLD = 0.0125  # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
 
 
@@ -122,6 +124,43 @@ def _specular_misfits(problem, result, tiles, textured):
         mine = np.flatnonzero((t.lobe == m) & (t.chain == 0) if (t.lobe == m).any() else through)
         if len(mine):
             found[int(g)] = misfit(problem, state.transfer, state.B[mine], target[mine], t.n_pixels[mine])
+    return found
+
+
+@dataclass(frozen=True)
+class Parts:
+    """How the objects of one group differ from what its reflectance shows.
+
+    ratio : {object: (C,)} of their own reflectances to the group's;  explained : share of the error that these explain
+    """
+
+    ratio: dict
+    explained: float
+
+    @property
+    def unlike(self) -> dict:
+        """Ratios of the objects that have another reflectance, where others have the group's."""
+        far = {thing: float(np.abs(r - 1).max()) for thing, r in self.ratio.items()}
+        usual = any(d < OTHER for d in far.values())
+        return {thing: r for thing, r in self.ratio.items() if far[thing] > UNLIKE} if usual else {}
+
+
+def parts(subcell, problem: Problem, result: Result, tiles: Receivers, groups) -> dict[int, Parts]:
+    """{group: Parts} of those of the groups (numbers) that have several objects, by the audit's tiles."""
+    at_once = ~tiles.fit & (tiles.chain == 0)
+    several = [g for g in groups if len(np.unique(tiles.object[at_once & (tiles.group == g)])) > 1]
+    if not several:
+        return {}
+    seen_as, metric, found = _Shown(subcell, problem, result, tiles, None), Metric(result.state.transfer), {}
+    for g in several:
+        ratio, before, after = {}, 0.0, 0.0
+        for thing in np.unique(tiles.object[at_once & (tiles.group == g)]):
+            mine = at_once & (tiles.group == g) & (tiles.object == thing)
+            B, seen, n = seen_as.B[mine], seen_as.seen[mine], tiles.n_pixels[mine, None]
+            ratio[int(thing)] = own = np.median(seen / np.maximum(B, 1e-9), axis=0)
+            before += float((n * (metric.value(seen) - metric.value(B)) ** 2).sum())
+            after += float((n * (metric.value(seen) - metric.value(own * B)) ** 2).sum())
+        found[g] = Parts(ratio, 1 - after / max(before, 1e-300))
     return found
 
 

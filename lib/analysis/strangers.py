@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from lib.analysis import misfits
 from lib.analysis.agreement import fits
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import enough
 from lib.analysis.evidence import evidence, promised
 from lib.analysis.explain import Explained
-from lib.analysis.misfits import shown
-from lib.analysis.problem import Problem, Result, TilePixels
+from lib.analysis.misfits import OTHER, shown
+from lib.analysis.problem import Problem, Result
 from lib.given.materials import Why
 from lib.given.transfer import Metric
 from lib.given.view import View
@@ -30,8 +31,6 @@ OUTLINE = 20  # pixels of it that must be seen
 WHOLE = 0.6  # of a facet: a thing covers less
 SAMPLES = 16  # of each lamp, from a pixel
 ELSEWHERE = 0.1  # part of a thing that lies on other facets than most of it
-OTHER = 0.1  # relative difference of a thing's reflectance from its group's that is worth a word
-UNLIKE = 0.25  # the same of a thing that only its untrusted pixels tell of
 LOOKED_AT = 4  # things whose own reflectance is tried
 
 
@@ -169,23 +168,14 @@ def things_unlike(explained: Explained, audit: Audit, judged, names, climbed=())
 
     By all its pixels: small things have hardly a trusted one.  judged : of Audit.misfits;  names() : of the objects
     """
-    problem, result, tiles = explained.problem, explained.result, audit.tiles
+    problem = explained.problem
     doubtful = [g for g in audit.flagged(problem, judged) if g not in climbed]
-    if not any(len(np.unique(tiles.object[tiles.group == g])) > 1 for g in doubtful):
-        return []
-    B = shown(audit.subcell, problem, result, tiles)
-    seen = TilePixels(tiles.values, tiles.start, problem.noisy).linear(result.state.transfer)[0]
-    found = []
-    for g in doubtful:
-        ratio = {}
-        for thing in np.unique(tiles.object[tiles.group == g]):
-            mine = (tiles.group == g) & (tiles.object == thing)
-            ratio[thing] = np.median(seen[mine] / np.maximum(B[mine], 1e-9), axis=0)
-        usual = [thing for thing, r in ratio.items() if np.abs(r - 1).max() < OTHER]
-        for thing, r in ratio.items() if usual else ():
-            if np.abs(r - 1).max() > UNLIKE:
-                found.append(_another_material(names()[thing], r, problem.groups[g], None))
-    return found
+    parts = misfits.parts(audit.subcell, problem, explained.result, audit.tiles, doubtful)
+    return [
+        _another_material(names()[thing], ratio, problem.groups[g], None)
+        for g, of_group in parts.items()
+        for thing, ratio in of_group.unlike.items()
+    ]
 
 
 def _another_material(name, ratio, group, nats):
