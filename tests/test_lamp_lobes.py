@@ -140,6 +140,12 @@ def test_a_lobe_that_is_asked_for_is_found_without_leave(tmp_path):
     assert abs(lamp[3] - TRUTH.lobes["lamp"][3]) < 3 * sigma.exponent < 0.1
 
 
+def test_the_ladder_climbs_in_the_light_of_a_lobe(tmp_path):
+    found = fitted(tmp_path, "lamps: {lamp: [36.2979, 31.3137, 27.1693]}\nsurfaces: {crate: textured}\n")
+    assert found.status == "converged" and found.groups["crate"].kind == "textured" and error(found) < 0.02
+    assert np.degrees(np.arccos(found.lobes["lamp"][:3] @ TRUTH.lobes["lamp"][:3])) < 1
+
+
 def test_without_leave_a_lobe_is_a_misfit(tmp_path):
     found = fitted(tmp_path, "lamps: {lamp: [36.2979, 31.3137, 27.1693]}\nexplain: []\n")
     assert found.status == "does not fit" and not any(group.identified for group in found.groups.values())

@@ -68,7 +68,8 @@ class Explained:
     def lobes(self):
         """{lamp: (4,) unit aim and exponent} that were found."""
         found = self.values.get(lamp_lobe.NAME, {})
-        return lamp_lobe.stepped(found, self.problem.cause, self.result.state.cause) if found else {}
+        terms = self.problem.cause
+        return lamp_lobe.stepped(found, terms, self.result.state.cause) if found and terms else found
 
     def sigma_of_lobe(self, lamp):
         """(of the aim, degrees; of the exponent), None where they are not known."""
@@ -92,13 +93,14 @@ class Explained:
         return vignetting.corrected(gathered, self.lens, self.falloff, self.result.state.transfer)
 
     def flattened(self, view: View, found: Gathered, **options):
-        """(self, view, found) of the photograph without the lens's shadow, as if it had been taken so."""
-        if self.falloff is None:
+        """(self, view, found) where all causes stand fast; of the photograph without the lens's shadow."""
+        if self.problem.cause is None:
             return self, view, found
         state, found = self.result.state, self.evened(found)
         problem = replace(self.problem, pixels=found.pixels, gain=None, cause=None)
         result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
-        view = vignetting.without(view, self.lens, self.falloff, state.transfer)
+        if self.falloff is not None:
+            view = vignetting.without(view, self.lens, self.falloff, state.transfer)
         return replace(self, problem=problem, result=result, scale=scale), view, found
 
 
