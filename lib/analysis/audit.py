@@ -48,7 +48,7 @@ class Audit:
     def energy(self, problem: Problem, result: Result, direct=None) -> float:
         """Of the groups that a diffuse surface does not explain, all together. direct : of `misfits`"""
         judged = self.misfits(problem, result, direct)
-        return sum(judged[g].energy for g in self.flagged(problem, judged))
+        return sum(judged[g].energy for g in self.flagged(problem, judged) if g in judged)
 
     def doubt(self, problem: Problem, result: Result, judged, places=None):
         """Widen sigma of groups that differ all the same, and say so."""

@@ -23,6 +23,7 @@ from lib.analysis.problem import Problem, Result
 from lib.core.report import Report
 from lib.given.cameras import Camera
 from lib.given.causes import GEOMETRIC
+from lib.given.kinds import LOBES, MIRRORS
 from lib.given.view import View
 from lib.light.factors_file import FormFactors
 
@@ -72,7 +73,8 @@ class Task:
     @property
     def lamp_lobes(self) -> LampLobes | None:
         """Of the lamps whose lobe scene.yaml leaves open."""
-        may = self.causes is None or lamp_lobe.NAME in self.causes
+        told = any(kind in (*MIRRORS, *LOBES) for kind in self.surfaces.values())  # their light looks like a lobe's
+        may = not told and (self.causes is None or lamp_lobe.NAME in self.causes)
         wanted = [lamp for lamp in self.factors.lamps if lamp not in self.lobes and (may or lamp in self.lobes_unknown)]
         if not wanted or not self.can_look:
             return None
@@ -228,7 +230,7 @@ def _materials(task, explained, audit, judged, report) -> Answer:
     if not audit.flagged(explained.problem, judged):
         audit.doubt(explained.problem, explained.result, judged)
         return _answer(explained, audit, judged)
-    if not explained.is_sure:  # a material may bring as much as the causes that were taken
+    if not (explained.is_sure or explained.lobes):  # a material may bring as much as the causes that were taken
         explained = explained.without_causes(**task.options)
         audit = _audit(task, explained)
         judged = audit.misfits(explained.problem, explained.result)
