@@ -18,6 +18,7 @@ from lib.given.view import View
 NAME, TERMS = "vignetting", 3
 SPREAD = 1.0  # standard deviation of each k before anything is seen
 RISES = 0.05  # of V outwards, at most
+LIKELY = 2  # told gammas that one step towards a shadow suits best
 ROUNDS = 4  # of fitting and dividing
 SETTLED = 2e-3  # change of V at the corner that ends them
 
@@ -72,7 +73,9 @@ def fitted_from(found: Candidate, gammas, lens: Lens, pixel) -> Candidate:
     A gamma that was fitted without the shadow may lie far from the truth, and a shadow that suits it, too.
     """
     told = [replace(found.problem, transfer=Transfer("gamma", gamma), fit_transfer=False) for gamma in gammas]
-    best = max((fitted(Candidate.of(p, found.taken), lens, pixel) for p in told), key=lambda c: c.evidence.nats)
+    bare = [Candidate.of(p, found.taken) for p in told]
+    bare = sorted(bare, key=lambda c: c.evidence.nats + promise(c, lens, pixel))[-LIKELY:]
+    best = max((fitted(c, lens, pixel) for c in bare), key=lambda c: c.evidence.nats)
     return fitted(replace(best, problem=replace(best.problem, fit_transfer=True)), lens, pixel)
 
 
