@@ -158,14 +158,16 @@ def without_lobes(problem: Problem, leave: Leave, **options) -> Explained:
 def with_lobes(found: Explained, leave: Leave, **options) -> Explained:
     """The same with lamps that throw their light in lobes, where the photograph asks for that.
 
-    In place of what was taken, or where that leaves something to explain, beside it.
+    In place of what was taken where that does not suffice, or beside it.
     """
     if leave.lobes is None or found.best is None or not (leave.lobes.asked or in_doubt(found.result)):
         return found
     first = found.given
     least = 0.0 if leave.lobes.asked else enough(first.problem)
-    for base, before in [(first, []), *([(found.best, found.taken)] if found.taken else [])]:
-        if before and not in_doubt(found.result):
+    instead, beside = (first, []), (found.best, found.taken)
+    bases = [instead] if not found.taken else [beside] if fits(found.result) else [instead, beside]
+    for base, before in bases:
+        if base is not bases[0][0] and not in_doubt(found.result):
             break
         lobed = _lobed(base, leave.lobes, not fits(found.result))
         if lobed is None or lobed.evidence.nats < found.best.evidence.nats - least:
