@@ -56,7 +56,7 @@ def main(opt):
             from lib.core import artefact
             from lib.given import image
             from lib.given.view import View
-            from lib.light import factors_file, small_room
+            from lib.light import factors_file, small_room, throws
             from lib.light import surface as surfaces
             from lib.picture import appearance, gouraud
         with report.excluded("compile"):
@@ -71,6 +71,7 @@ def main(opt):
                 f"{opt.materials}: mirrors and glossy surfaces are left out: this stage shows how diffuse light spreads"
             )
         surface = surfaces.surface(view.model, factors.lamps)
+        factors = throws.in_lobes(factors, surface, found.lobes)
         with report.timing("canvas"):
             canvas = gouraud.Canvas(surface, factors.mesh, view.camera, view.facet)
         emitted = gouraud.emittance(factors, factors.mesh.side % 2 == 0, lamps)

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 
 from lib.analysis.lamp_lobe import across, moved
+from lib.core.stage import BadInput
 from lib.given import materials
 from lib.light import lamps as lamps_
 from lib.light import lamps_kernels as kernels
-from lib.light import specular_lamps, throws
+from lib.light import specular, specular_file, specular_lamps, throws
 from lib.light import surface as surfaces
 from lib.light.chains import Chains
 from lib.light.lamps import LAMBERTIAN, thrown
+from lib.light.mirror_view import MirrorView
+from lib.light.specular_file import Traced
 from tests.helpers import rooms
 from tests.helpers.small_scenes import closed_room, finish, rectangle, surface
 
@@ -98,6 +101,25 @@ def test_a_mirror_shows_a_lobe_mirrored(room):
     lamps, chains = lamps_.emitters(room, ["lamp"], {"lamp": lobe((0.3, 0.1, -1), 2)}), Chains(1)
     (image, *_), *_ = specular_lamps.mirrored_lamps(room, finish(room, bottom="mirror"), chains, lamps)
     assert np.allclose(image.lobe, lobe((0.3, 0.1, 1), 2))
+
+
+def test_what_fit_traced_keeps_the_lobes(room, tmp_path):
+    """A file of lambertian lamps, or of another lobe, is not taken for this one."""
+    lobes = {"lamp": lobe((0.3, 0.1, -1), 2)}
+    lamps, mesh = lamps_.emitters(room, ["lamp"], lobes), rooms.patches(room, 60)
+    made = specular.transport(room, mesh, finish(room, bottom="mirror"), Chains(1), lamps, 1)
+    none = MirrorView(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3)))
+    specular_file.write(tmp_path / "specular.npz", Traced(made, np.zeros(0, int), none, lobes["lamp"][None]))
+    found = specular_file.read(tmp_path / "specular.npz")
+    assert len(made.mirrored) and np.allclose([lamp.lobe for lamp in found.transport.mirrored], lobe((0.3, 0.1, 1), 2))
+    assert found.fits(made.finish, len(mesh), lobes["lamp"][None])
+    assert not found.fits(made.finish, len(mesh), LAMBERTIAN[None])
+
+
+def test_a_lobe_without_a_direction_is_refused(tmp_path):
+    (tmp_path / "m.json").write_text('{"groups": {}, "lamps": {"lamp": {"lobe": {"aim": [0, 0, 0], "exponent": 2}}}}')
+    with pytest.raises(BadInput, match=r"lamps.lamp.lobe.aim"):
+        materials.read(tmp_path / "m.json")
 
 
 # ---- a photograph ----

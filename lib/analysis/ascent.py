@@ -104,4 +104,5 @@ def _traced(ascent: Ascent) -> Traced:
         transport = specular.transport(site.surface, site.mesh, finish, transport.chains, site.lamps, site.n_lamps)
     mirrors = np.array(finish.groups)[np.asarray(finish.kind) == MIRROR]
     pixel = site.pixels_of(mirrors)
-    return Traced(transport, pixel, site.in_mirrors(finish, transport.chains, pixel)[0])
+    view = site.in_mirrors(finish, transport.chains, pixel)[0]
+    return Traced(transport, pixel, view, site.factors.lobe_of_lamps)

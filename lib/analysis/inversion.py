@@ -157,6 +157,10 @@ def solve(task: Task, report: Report) -> Answer:
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
         task, audit = in_lobes, _audit(in_lobes, lobed)  # nothing suffices, lobes come nearest
         answer = _answer(lobed, audit, audit.misfits(lobed.problem, lobed.result))
+    answer.warnings += [
+        f"lamp {lamp!r}: no lobe fits the photograph better than an even lamp"
+        for lamp in sorted(task.lobes_unknown - answer.explained.lobes.keys())
+    ]
     answer.why = _why(task, answer, edges)
     return answer
 

@@ -154,7 +154,7 @@ def stepped(lobes, terms: CauseTerms, cause):
 
 def uneven(found: Candidate, lobes: LampLobes) -> Candidate:
     """The fit with light that is 1 + a . direction, from which any lobe shows. `taken` holds a, {lamp: (3,)}."""
-    terms = lobes.uneven(found.result.at).beside(_others(found.problem))
+    terms = lobes.uneven(found.result.at).beside(found.problem.cause)
     problem = replace(found.problem, cause=terms)
     result = gauss_newton(problem, start=found.start, finish=False, tolerance=1e-2, max_iterations=12)
     a = result.state.cause[terms.of(NAME)].reshape(-1, 3)
@@ -171,19 +171,13 @@ def begun(found: Candidate, first: Candidate, lobes: LampLobes) -> Candidate:
     return max(tried, key=lambda c: c.evidence.nats)
 
 
-def _others(problem):
-    """What the problem's cause has of other causes, or None."""
-    if problem.cause is None or problem.cause.of(NAME).all():
-        return None
-    kept = ~problem.cause.of(NAME)
-    return CauseTerms(
-        tuple(np.array(problem.cause.names)[kept]), problem.cause.columns[..., kept], problem.cause.spread[kept]
-    )
-
-
 def fitted(found: Candidate, lobes: LampLobes, more=None) -> Candidate:
     """The fit with lobes where they suit best: those of `found`, and more {lamp: (4,)}. `taken` holds them."""
-    lobes_at, start, others = found.taken.get(NAME, {}) | (more or {}), found.start, _others(found.problem)
+    lobes_at, start, others = (
+        found.taken.get(NAME, {}) | (more or {}),
+        found.start,
+        found.problem.cause and found.problem.cause.without(NAME),
+    )
     base = replace(found.problem, cause=others)
     at, radius = _plain(lobes.problem(base, lobes_at), start), 1.0
     errors, enough = [_error(at)], HOPE * np.abs(found.result.tile_residual).mean()

@@ -162,15 +162,21 @@ class CauseTerms(NamedTuple):
         """(k,) bool: the numbers of one cause."""
         return np.array([name == cause for name in self.names], bool)
 
+    def without(self, names) -> CauseTerms | None:
+        """What is left without these causes."""
+        kept = ~np.isin(self.names, names)
+        names = tuple(np.array(self.names)[kept])
+        return CauseTerms(names, self.columns[..., kept], self.spread[kept]) if names else None
+
     def beside(self, others: CauseTerms | None) -> CauseTerms:
         """Both, these last and in place of what the others have of the same causes."""
+        others = others and others.without(self.names)
         if others is None:
             return self
-        kept = ~np.isin(others.names, self.names)
         return CauseTerms(
-            (*np.array(others.names)[kept], *self.names),
-            np.concatenate([others.columns[..., kept], self.columns], axis=-1),
-            np.concatenate([others.spread[kept], self.spread]),
+            (*others.names, *self.names),
+            np.concatenate([others.columns, self.columns], axis=-1),
+            np.concatenate([others.spread, self.spread]),
         )
 
 

@@ -58,6 +58,13 @@ def _rising(value):
     return tuple(map(float, value))
 
 
+def _direction(value):
+    """Three numbers that are not all 0."""
+    if not any(aim := numbers(3)(value)):
+        raise Wrong("has no direction")
+    return aim
+
+
 def _sigma_of_transfer(value):
     if isinstance(value, list):
         return matrix(1, unknown=True)([value])[0]
@@ -133,7 +140,7 @@ class Group:
 class Lobe:
     """How a lamp throws its light: pi x radiance = emittance x max(0, cos(direction, aim))^exponent."""
 
-    aim: tuple | None = told(numbers(3), needed="three numbers")
+    aim: tuple | None = told(_direction, needed="a direction, three numbers")
     exponent: float | None = told(number(0), needed="a number from 0")
 
     @property

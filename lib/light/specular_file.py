@@ -20,18 +20,21 @@ from lib.light.specular import Transport
 
 @dataclass(frozen=True)
 class Traced:
-    """pixel : (m,) flat index of the pixels that show a mirror at once;  view : what they show in the end"""
+    """pixel : (m,) flat index of the pixels that show a mirror at once;  view : what they show in the end
+    lobes : (L, 4) of the lamps"""
 
     transport: Transport
     pixel: np.ndarray
     view: MirrorView
+    lobes: np.ndarray
 
-    def fits(self, finish, n_patches):
-        """Whether this was traced for these surfaces: a file beside another materials.json does not count."""
-        return self.transport.finish.equals(finish) and len(self.transport.D_mirrored) == n_patches
+    def fits(self, finish, n_patches, lobes):
+        """Whether this was traced for these surfaces and lamps: a file beside another materials.json does not count."""
+        same_lamps = self.lobes.shape == lobes.shape and np.allclose(self.lobes, lobes)
+        return self.transport.finish.equals(finish) and len(self.transport.D_mirrored) == n_patches and same_lamps
 
 
-FINISH, LAMP = ("kind", "alpha", "tangent"), ("corners", "normal", "cdf", "mirrors")
+FINISH, LAMP = ("kind", "alpha", "tangent"), ("corners", "normal", "cdf", "lobe", "mirrors")
 
 
 def write(path, traced: Traced):
@@ -64,6 +67,7 @@ def write(path, traced: Traced):
         rays=t.rays,
         lost=t.lost,
         pixel=traced.pixel,
+        lobes=traced.lobes,
     )
 
 
@@ -84,7 +88,7 @@ def read(path) -> Traced:
         "rays",
         "lost",
     )
-    a = artefact.read_npz(path, *always, "pixel", *(f"view_{f.name}" for f in fields(MirrorView)))
+    a = artefact.read_npz(path, *always, "pixel", "lobes", *(f"view_{f.name}" for f in fields(MirrorView)))
     for name, array in a.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise BadInput(f"{path}: {name}: holds a value that is not finite")
@@ -95,7 +99,10 @@ def read(path) -> Traced:
     }
     mirrored = [
         Emitter(
-            int(lamp), *(a[f"lamp_{k}_{name}"] for name in LAMP[:3]), mirrors=tuple(map(int, a[f"lamp_{k}_mirrors"]))
+            int(lamp),
+            *(a[f"lamp_{k}_{name}"] for name in LAMP[:3]),
+            mirrors=tuple(map(int, a[f"lamp_{k}_mirrors"])),
+            lobe=a[f"lamp_{k}_lobe"],
         )
         for k, lamp in enumerate(a["lamps"])
     ]
@@ -111,7 +118,7 @@ def read(path) -> Traced:
         int(a["rays"]),
         float(a["lost"]),
     )
-    return Traced(transport, a["pixel"], MirrorView(*(a[f"view_{f.name}"] for f in fields(MirrorView))))
+    return Traced(transport, a["pixel"], MirrorView(*(a[f"view_{f.name}"] for f in fields(MirrorView))), a["lobes"])
 
 
 def mirror_picture(traced: Traced, group_of_facet, shape):

@@ -123,11 +123,11 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
         )
     channels = view.photograph.values.shape[2]
     look, found, warnings = appearance.read(materials, factors.groups, factors.lamps, channels, view.model.n_facets)
-    traced = specular_file.read(specular) if specular and look.finish is not None else None
-    if traced is not None and not traced.fits(look.finish, len(factors.mesh)):
-        traced = None
     surface = surfaces.surface(view.model, factors.lamps)
     factors = throws.in_lobes(factors, surface, found.lobes)
+    traced = specular_file.read(specular) if specular and look.finish is not None else None
+    if traced is not None and not traced.fits(look.finish, len(factors.mesh), factors.lobe_of_lamps):
+        traced = None
     return Subject(
         view, surface, factors, pieces, look, found.transfer.function, traced, warnings, falloff(found, view)
     )
