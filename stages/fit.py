@@ -125,6 +125,8 @@ def task_of(opt):
         transfer = materials.read_curve(opt.curve)
     shown = opt.audit and opt.camera and opt.model and opt.photograph and opt.facet
     view = functools.cache(lambda: view_of(opt, factors))
+    if shown:
+        factors, found, audit = gather.with_outside(view, factors, found, audit)
     lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
     if opt.lobes and not shown:
         raise stage.BadInput("--lobes: without --audit, --camera, --model, --photograph and --facet")
@@ -178,7 +180,7 @@ def by_the_paper(opt, task, report):
         raise stage.BadInput(f"--method {opt.method}: transfer: the printed alternation fits gamma alone")
     result = paper.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
     answer = Answer(Explained(problem, result, scale(problem)), problem, result, scale(problem))
-    answer.why = agreement.disagreements(problem, result, task.found, task.factors, opt.transfer, {})
+    answer.why = agreement.disagreements(problem, result, task.found, opt.transfer, {})
     return answer
 
 

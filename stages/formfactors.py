@@ -16,8 +16,6 @@ from pathlib import Path
 sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
 from lib.core import stage
 
-OPEN = 0.03  # of a patch's light that leaves: more than rays that pass between two facets
-
 
 def options():
     parser = stage.parser(__doc__, reads="model", writes="formfactors", refined="model")
@@ -95,6 +93,7 @@ def describe(report, factors, surface, model):
     """What the user should know of the factors."""
     import numpy as np
 
+    from lib.light import outside
     from lib.light import surface as surfaces
     from lib.light.balance import spectral_radius
 
@@ -111,29 +110,15 @@ def describe(report, factors, surface, model):
     closed = "1 in a closed scene, before any normalisation"
     report.error("row_sum.max_excess", float(max(sums.max() - 1, 0)), unit="1", against=closed)
     report.error("row_sum.largest_opening", float(max(1 - sums.min(), 0)), unit="1", against="0 in a closed scene")
-    if (opening := opening_to_light(factors)) > OPEN:
+    if (opening := outside.openings_to_light(factors).max(initial=0.0)) > outside.LEAST:
         report.warning(
             f"the model is open: {100 * opening:.0f} % of the light of the most open patch leaves; what is not "
-            "modelled behind the camera must be modelled or the light it sends back is missing"
+            "modelled behind the camera is missing, but for an even glow where the photograph tells of one"
         )
     radius = spectral_radius(rows.matrix() @ factors.subcell)
     report.error("balance.spectral_radius", radius, unit="1", against="the largest row sum, so that light dies away")
     report.error("rays.lost", float(rows.lost.sum() / max(rows.shot.sum(), 1)), unit="1", against="0")
     report.error("reciprocity.rms", reciprocity(factors), unit="sigma of the sampling", against="A_i F_ij = A_j F_ji")
-
-
-def opening_to_light(factors):
-    """The part of a patch's light that leaves, the largest of all patches that light reaches.
-
-    Outside a closed room there may be patches, too: the backs of walls that see another room.
-    """
-    import numpy as np
-    from scipy.sparse.csgraph import connected_components
-
-    part = connected_components(factors.rows.matrix(), directed=False)[1]
-    sums = factors.rows.row_sums
-    lit = (sums > 0) & np.isin(part, part[factors.lamp_factor.any(axis=1)])
-    return float(1 - sums[lit].min(initial=1.0))
 
 
 def reciprocity(factors):

@@ -56,13 +56,15 @@ def main(opt):
             from lib.core import artefact
             from lib.given import image
             from lib.given.view import View
-            from lib.light import factors_file, small_room, throws
+            from lib.light import factors_file, outside, small_room, throws
             from lib.light import surface as surfaces
             from lib.picture import appearance, gouraud
         with report.excluded("compile"):
             small_room.warm_up()
         view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph, facet=opt.facet)
         factors = factors_file.read(opt.formfactors, view.model, opt.model)
+        surface = surfaces.surface(view.model, factors.lamps)
+        factors = outside.with_outside(factors, lambda: surface)
         channels = view.photograph.values.shape[2]
         look, found, _ = appearance.read(opt.materials, factors.groups, factors.lamps, channels, view.model.n_facets)
         rho, lamps = look.rho, look.E
@@ -70,7 +72,6 @@ def main(opt):
             report.warning(
                 f"{opt.materials}: mirrors and glossy surfaces are left out: this stage shows how diffuse light spreads"
             )
-        surface = surfaces.surface(view.model, factors.lamps)
         factors = throws.in_lobes(factors, surface, found.lobes)
         with report.timing("canvas"):
             canvas = gouraud.Canvas(surface, factors.mesh, view.camera, view.facet)

@@ -10,23 +10,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from lib.analysis import glow
 from lib.analysis.candidates import Candidate, enough
 from lib.analysis.equations import Equations, Layout, Unknowns
-from lib.analysis.evidence import evidence, held_out, likelihood, noise_variance, promised
+from lib.analysis.evidence import evidence, held_out, likelihood, noise_variance
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import Problem, Result, scale
 from lib.analysis.transport import TileLight
 from lib.given.materials import Why
 from lib.given.transfer_kinds import OF_PICTURE
-from lib.light.balance import reflected
-from lib.light.factors_file import FormFactors
 
 FITS = 1.2  # error that neighbouring tiles have in common, in what noise explains: exact scenes have .2 to .45, a pose
 # 2 px off has 1.3 to 2.6, a lamp 12 cm off 4 to 8
 DOUBT = 0.4  # of the same, from which it is worth while to look further
 OFF = 0.02  # relative difference of a lamp from what is told that is worth a word
 SETTLES = 0.3  # of the tiles' typical residual: what leaves no more is all that is wrong
-OPEN = 0.02  # share of a patch's light that leaves the model, from which a glow from outside is thought of
 TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
 ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which nothing found is believed
 
@@ -41,7 +39,7 @@ def in_doubt(result: Result) -> bool:
     return result.correlated >= DOUBT
 
 
-def disagreements(problem: Problem, result: Result, found: Gathered, factors: FormFactors, asked, rivals) -> list[Why]:
+def disagreements(problem: Problem, result: Result, found: Gathered, asked, rivals) -> list[Why]:
     """What is likeliest wrong with the given facts, the likeliest first; [] where photograph and facts agree.
 
     asked : transfer, as in scene.yaml;  rivals : {kind: nats} of other transfer functions
@@ -52,7 +50,7 @@ def disagreements(problem: Problem, result: Result, found: Gathered, factors: Fo
     if problem.specular is None:
         why += lamps(problem, result)
         if not fits(result):
-            why += _open_model(problem, result, found, factors)
+            why += _open_model(problem, result)
     why.sort(key=lambda w: -(w.evidence_nats or np.inf))
     if not why and not fits(result):
         text = (
@@ -110,10 +108,11 @@ def lamps(problem, result) -> list[Why]:
 
 def lamps_told(problem, result) -> tuple[list[Why], bool]:
     """The same, and whether other emittances are all that is wrong."""
-    if np.isnan(problem.emittance).any() or scale(problem) != "lamps":
+    own = problem.own_lamps
+    if np.isnan(problem.emittance[own]).any() or scale(problem) != "lamps":
         return [], False
     state = result.state
-    freed = replace(problem, emittance=np.full_like(problem.emittance, np.nan))
+    freed = replace(problem, emittance=np.where(own[:, None], np.nan, problem.emittance))
     start = Unknowns(state.rho, state.E, state.transfer)
     own = evidence(problem, result.at).nats
     if _one_step(freed, start) - own < enough(problem):
@@ -122,7 +121,8 @@ def lamps_told(problem, result) -> tuple[list[Why], bool]:
     gain, ratio = free.evidence.nats - own, free.result.state.E / np.maximum(problem.emittance, 1e-12)
     if gain < enough(problem):
         return [], False
-    why = [_lamp(name, ratio[k], gain) for k, name in enumerate(problem.lamps) if np.abs(ratio[k] - 1).max() > OFF]
+    off = [k for k in np.flatnonzero(own) if np.abs(ratio[k] - 1).max() > OFF]
+    why = [_lamp(problem.lamps[k], ratio[k], gain) for k in off]
     return why, free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
 
 
@@ -141,30 +141,19 @@ def _one_step(problem, at: Unknowns):
     return likelihood(predicted, noise_variance(problem, equations)).nats
 
 
-def _open_model(problem, result, found, factors):
+def _open_model(problem, result):
     """Light that comes back through the openings of the model, evenly."""
-    at = result.at
-    patches, tiles = (_opening(rows.row_sums) for rows in (factors.rows, found.tiles.rows))
-    if patches.max(initial=0) < OPEN:
+    if not glow.is_dark(problem):
         return []
-    share = at.state.rho[problem.patch_group].astype(np.float32)
-    C = problem.channels
-    db = reflected(at.light.matrices.F, share, share * patches[:, None].astype(np.float32), tolerance=1e-3).b
-    dB = at.shown_share * (tiles[:, None] + problem.G @ db)
-    columns = np.zeros((*dB.shape, C))
-    columns[:, np.arange(C), np.arange(C)] = at.slope * dB
-    gain = promised(problem, at, columns).nats - evidence(problem, at).nats
+    gain = glow.promise(Candidate(problem, result, evidence(problem, result.at)))
     if gain < enough(problem):
         return []
+    opening = problem.D[:, ~problem.own_lamps].max()
     text = (
-        f"the model is open ({patches.max():.0%} of the light of a patch leaves it), and light from outside would"
+        f"the model is open ({opening:.0%} of the light of a patch leaves it), and light from outside would"
         f" explain the photograph better by {gain:.0f} nats: a wall or a window is missing"
     )
     return [Why("open_model", None, text, float(gain))]
-
-
-def _opening(row_sums):
-    return np.where(row_sums > 0, np.clip(1 - row_sums, 0, 1), 0)
 
 
 def _on_bounds(problem, result):

@@ -101,7 +101,9 @@ def _traced(ascent: Ascent) -> Traced:
     site, finish = ascent.site, ascent.climb.finish
     transport = ascent.climb.traced.transport
     if not transport.finish.equals(finish):
-        transport = specular.transport(site.surface, site.mesh, finish, transport.chains, site.lamps, site.n_lamps)
+        transport = specular.transport(
+            site.surface, site.mesh, finish, transport.chains, site.lamps, site.n_lamps, outside=site.outside
+        )
     mirrors = np.array(finish.groups)[np.asarray(finish.kind) == MIRROR]
     pixel = site.pixels_of(mirrors)
     view = site.in_mirrors(finish, transport.chains, pixel)[0]

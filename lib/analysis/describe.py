@@ -15,6 +15,7 @@ from lib.given.kinds import RUNGS
 from lib.given.materials import Cause, Fit, FoundTransfer, Group, Lamp, LampSigma, Lobe, Materials, Rival, Rung, Sigma
 from lib.given.transfer import GAMMA_RANGE, Metric
 from lib.given.transfer_kinds import OF_PICTURE
+from lib.light.factors_file import OUTSIDE
 
 if TYPE_CHECKING:
     from lib.analysis.explain import Explained
@@ -62,7 +63,8 @@ def describe(
     rmse = None if nothing or not np.isfinite(result.rmse) else float(result.rmse)
     moved = {cause.subject: cause for cause in refined if cause.cause == "lamp_place"}
     lamps = {}
-    for k, name in enumerate(problem.lamps):
+    for k in np.flatnonzero(problem.own_lamps):
+        name = problem.lamps[k]
         lamp = _lamp(problem, result, k, scale, explained, lobes or {}, moved)
         lamps[name] = replace(lamp, identified=False) if why and lamp.identified else lamp
     function = _transfer(problem, result, transfer, explained.rivals)
@@ -90,6 +92,10 @@ def _found(explained: Explained, result, name):
     if name == "lamp_lobe":
         lobes = explained.lobes.items()
         return [(lamp, plain(_lobe(lobe)), _sigma_of_lobe(explained, lamp)) for lamp, lobe in lobes]
+    if name == "glow":
+        return [
+            (None, _glow(explained, result.state.E), result.sigma_E is not None and _glow(explained, result.sigma_E))
+        ]
     if name == "vignetting":
         values = {"k": list(map(float, values["k"])), "centre_px": list(values["centre_px"])}
         if result.cov_cause is not None:
@@ -97,6 +103,12 @@ def _found(explained: Explained, result, name):
             values["k"] = [float(k) for k in values["k"] + result.state.cause[own]]
             return [(None, values, {"k": [float(s) for s in np.sqrt(np.diag(result.cov_cause))[own]]})]
     return [(None, dict(values), None)]
+
+
+def _glow(explained, E):
+    """Radiosity of the glow from outside and its changes, see outside.Outside, of emittances (L, C) or their sigma."""
+    even, *gradient = (list(_three(E[explained.problem.lamps.index(name)])) for name in OUTSIDE)
+    return {"radiosity": even, "gradient": gradient}
 
 
 def _sigma_of_lobe(explained, lamp):

@@ -43,6 +43,7 @@ class Layout:
 
     rho : (n_rho, 2) group, channel;  E : (n_E, 2) lamp, channel;  rho_s : (n_s, 2) specular group, channel
     bend : bounds (low, high) of each shape's step;  transfer, cause : how many numbers of them are free
+    spread_E : (n_E,) of Problem
     """
 
     rho: np.ndarray
@@ -51,6 +52,7 @@ class Layout:
     bend: tuple
     transfer: int
     cause: int = 0
+    spread_E: object = None
 
     @classmethod
     def of(cls, problem: Problem) -> Layout:
@@ -58,12 +60,13 @@ class Layout:
         used = np.isin(np.arange(len(problem.groups)), np.concatenate([problem.tile_group, problem.patch_group]))
         rho = np.argwhere(np.isnan(problem.rho) & used[:, None])
         E = np.argwhere(np.isnan(problem.emittance))
+        spread = np.full(len(E), np.inf) if problem.spread_E is None else problem.spread_E[tuple(E.T)]
         terms, n = problem.specular, problem.fit_transfer * len(problem.transfer.parameters)
         k = 0 if problem.cause is None else len(problem.cause.spread)
         if terms is None:
-            return cls(rho, E, np.zeros((0, 2), int), (), n, k)
+            return cls(rho, E, np.zeros((0, 2), int), (), n, k, spread)
         bend = tuple((shape.low, shape.high) for shape in terms.bend)
-        return cls(rho, E, np.argwhere(np.isnan(terms.rho_s)), bend, n, k)
+        return cls(rho, E, np.argwhere(np.isnan(terms.rho_s)), bend, n, k, spread)
 
     @property
     def ends(self):
@@ -113,9 +116,17 @@ class Layout:
         """(n,), (n,): between which the parameters stay."""
         n, m, s = len(self.rho), len(self.E), len(self.rho_s)
         low, high = (np.array([b[i] for b in self.bend], float).reshape(-1) for i in (0, 1))
+        low_E = np.where(np.isfinite(self.spread_E), -np.inf, 0.0)
         return (
             np.concatenate(
-                [np.zeros(n + m + s), low, [transfer.bounds[0]] * self.transfer, np.full(self.cause, -np.inf)]
+                [
+                    np.zeros(n),
+                    low_E,
+                    np.zeros(s),
+                    low,
+                    [transfer.bounds[0]] * self.transfer,
+                    np.full(self.cause, -np.inf),
+                ]
             ),
             np.concatenate(
                 [
@@ -210,6 +221,8 @@ class Equations:
             g, c = self.layout.rho[k]
             H[k, k] = 1 / spread[c] ** 2
             target[k] = mean[c]
+        for k in np.flatnonzero(np.isfinite(self.layout.spread_E)):
+            H[len(self.layout.rho) + k, len(self.layout.rho) + k] = 1 / self.layout.spread_E[k] ** 2
         if self.layout.transfer > 1:
             H[self.layout.responding, self.layout.responding] = smooth(self.layout.transfer)
         if self.layout.cause:

@@ -77,7 +77,7 @@ def noise_variance(problem: Problem, at: Equations) -> np.ndarray:
     variance = problem.tile_noise
     if problem.halves is None or not len(variance):
         return variance
-    shown = at.slope * 0.5 * at.shown_share * ((problem.halves.G0 - problem.halves.G1) @ at.state.b)
+    shown = at.slope * at.shown_share * problem.halves.difference(at.state.E, at.state.b)
     return variance + float(np.median(shown**2)) / NORMAL_MEDIAN
 
 

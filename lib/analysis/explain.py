@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lib.analysis import lamp_lobe, responses, vignetting
+from lib.analysis import glow, lamp_lobe, responses, vignetting
 from lib.analysis.agreement import fits, in_doubt, out_of_range
 from lib.analysis.candidates import NATS, Candidate, enough
 from lib.analysis.equations import Unknowns
@@ -223,6 +223,8 @@ def _climbed(best: Candidate, leave: Leave):
         if "vignetting" in wanted:
             shadow = _settled(_vignetted(best, leave), best, leave)
             candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
+        if glow.NAME in wanted:
+            candidates[glow.NAME] = _settled(_in_glow(best), best, leave)
         better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}
         if not better:
             break
@@ -250,6 +252,14 @@ def _vignetted(best: Candidate, leave: Leave) -> Candidate:
     return max(first, other, key=lambda c: c.evidence.nats)
 
 
+def _in_glow(best: Candidate) -> Candidate:
+    """The fit with a glow from outside, from other gammas as well where the first leaves something to explain."""
+    first = glow.fitted(best)
+    if not _searches_gamma(first) or responses.promise(first) < enough(first.problem):
+        return first
+    return max(first, glow.fitted_from(best, (*STARTS, USUAL_GAMMA)), key=lambda c: c.evidence.nats)
+
+
 def _searches_gamma(found: Candidate) -> bool:
     """Another start may find another gamma."""
     return found.problem.fit_transfer and found.kind == "gamma" and found.typical < HOPELESS
@@ -262,5 +272,7 @@ def _promising(found: Candidate, leave: Leave, tried) -> dict:
         promises["response"] = responses.promise(found)
     if leave.lens is not None and "vignetting" in leave.causes and "vignetting" not in tried:
         promises["vignetting"] = vignetting.promise(found, leave.lens, leave.pixel)
+    if glow.NAME in leave.causes and glow.NAME not in tried and glow.is_dark(found.problem):
+        promises[glow.NAME] = glow.promise(found)
     least = enough(found.problem)
     return {cause: nats for cause, nats in promises.items() if nats >= least}

@@ -9,7 +9,8 @@ from lib.analysis.problem import Halves, Problem
 from lib.core.stage import BadInput
 from lib.given.transfer import CURVES, Transfer
 from lib.given.transfer_kinds import OF_PICTURE
-from lib.light.factors_file import FormFactors
+from lib.light import outside
+from lib.light.factors_file import OUTSIDE, FormFactors
 
 USUAL_GAMMA = 2.2
 
@@ -37,7 +38,7 @@ def transfer_of(transfer, linear_photograph) -> Transfer:
 
 
 def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, transfer) -> Problem:
-    """Facts and light as one inverse problem.
+    """Facts and light as one inverse problem; what lies outside is dark.
 
     lamps : {name: [E per channel] or "unknown"};  reference : {group: rho};  transfer : as in scene.yaml, or None
     BadInput: names that the model has not, colours in a grey photograph, lamps that are all dark.
@@ -69,7 +70,11 @@ def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, trans
         rho=_known_reflectances(factors, reference, channels),
         transfer=model,
         fit_transfer=len(model.parameters) > 0 and not isinstance(transfer, dict),
-        halves=Halves(*(seen_by(tiles.rows, k) for k in (0, 1)), *(seen_by(factors.rows, k) for k in (0, 1))),
+        halves=Halves(
+            *(seen_by(tiles.rows, k) for k in (0, 1)),
+            *(seen_by(factors.rows, k) for k in (0, 1)),
+            outside.halves(factors, tiles.direct, tiles.rows),
+        ),
         group_area=factors.group_area_m2,
     )
 
@@ -81,7 +86,7 @@ def _check_names(factors, lamps, reference):
     ]
     problems += [
         f"lamps: {name!r} has factors in formfactors.npz but no emittance"
-        for name in factors.lamps
+        for name in factors.own_lamps
         if name not in lamps
     ]
     if problems:
@@ -92,7 +97,9 @@ def _emittances(names, lamps, channels):
     """(L, C), NaN where unknown."""
     E = np.full((len(names), channels), np.nan)
     for k, name in enumerate(names):
-        if not isinstance(lamps[name], str):
+        if name in OUTSIDE:
+            E[k] = 0
+        elif not isinstance(lamps[name], str):
             E[k] = _channels(lamps[name], channels, f"lamps.{name}")
     if not np.isnan(E).any() and not E.any():
         raise BadInput(f"lamps: {', '.join(lamps)}: every emittance is 0: there is no light to explain the photograph")
@@ -102,7 +109,7 @@ def _emittances(names, lamps, channels):
 def _known_reflectances(factors, reference, channels):
     """(G, C): 0 for lamps, the given values for references, NaN else."""
     rho = np.full((len(factors.groups), channels), np.nan)
-    for name in factors.lamps:
+    for name in factors.own_lamps:
         rho[factors.groups.index(name)] = 0
     for name, value in reference.items():
         rho[factors.groups.index(name)] = _channels(value, channels, f"reference.{name}")

@@ -8,7 +8,7 @@ solve and no ray.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from lib.buffers.edges import boundary
 from lib.buffers.trust import in_blocks
 from lib.core import artefact
 from lib.given.view import View
-from lib.light import form_factors, lamps
+from lib.light import form_factors, lamps, outside
+from lib.light import surface as surfaces
 from lib.light.cells import Mesh
 from lib.light.factors_file import FormFactors
 from lib.light.form_factors import FormFactorRows
@@ -193,6 +194,20 @@ def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling:
         _colour_noise(view.photograph),
         view.photograph.noisy,
     )
+
+
+def with_outside(view, factors: FormFactors, *gathered: Gathered):
+    """(factors, *gathered) with the outside among the lamps, where the model is open. view : () -> View"""
+    factors = outside.with_outside(factors, lambda: surfaces.surface(view().model, factors.lamps))
+    if factors.outside is None:
+        return factors, *gathered
+    surface, lit = surfaces.surface(view().model, factors.lamps), []
+    for found in gathered:
+        tiles = found.tiles
+        p, side = backproject(surface, view().camera, np.repeat(tiles.facet, np.diff(tiles.start)), tiles.pixel)
+        more = outside.of_points(factors, surface, p, tiles.start, side[tiles.start[:-1]], tiles.rows)
+        lit.append(replace(found, tiles=replace(tiles, direct=np.hstack([tiles.direct, more]))))
+    return factors, *lit
 
 
 def _colour_noise(photograph):

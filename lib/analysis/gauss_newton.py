@@ -151,8 +151,14 @@ def fit(problem: Problem, **options):
     """
     fixed_by = scale(problem)
     result = gauss_newton(problem, **options)
-    if fixed_by == "interreflection" and len(problem.tile_group) and (result.sigma_E > 0.5 * result.state.E).any():
-        result = gauss_newton(replace(problem, emittance=np.ones_like(problem.emittance)), **options)
+    if fixed_by == "interreflection" and len(problem.tile_group) and _is_loose(problem, result):
+        emittance = np.where(problem.own_lamps[:, None], 1.0, problem.emittance)
+        result = gauss_newton(replace(problem, emittance=emittance), **options)
         result.warnings.append("interreflection is too weak here to fix the scale: emittance 1 by convention")
         fixed_by = "convention"
     return result, fixed_by
+
+
+def _is_loose(problem, result):
+    own = problem.own_lamps
+    return bool((result.sigma_E[own] > 0.5 * result.state.E[own]).any())

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from lib.analysis import agreement, explain, lamp_lobe
+from lib.analysis import agreement, explain, glow, lamp_lobe
 from lib.analysis.agreement import in_doubt
 from lib.analysis.audit import LEFT, Audit
 from lib.analysis.climbing import Climb
@@ -75,7 +75,8 @@ class Task:
         """Of the lamps whose lobe scene.yaml leaves open."""
         told = any(kind in (*MIRRORS, *LOBES) for kind in self.surfaces.values())  # their light looks like a lobe's
         may = not told and (self.causes is None or lamp_lobe.NAME in self.causes)
-        wanted = [lamp for lamp in self.factors.lamps if lamp not in self.lobes and (may or lamp in self.lobes_unknown)]
+        open_ = self.factors.own_lamps if may else self.lobes_unknown
+        wanted = [lamp for lamp in self.factors.own_lamps if lamp in open_ and lamp not in self.lobes]
         if not wanted or not self.can_look:
             return None
         return LampLobes(self.view, self.factors, self.found, tuple(wanted), bool(self.lobes_unknown))
@@ -210,7 +211,8 @@ def _unsure(task, edges):
     from lib.analysis import refine
 
     loose = edges.registration.loose if edges.registration else {}
-    return tuple(refine.unsure(task.view(), task.factors, task.found, task.refined, loose))
+    lamps = refine.unsure(task.view(), task.factors, task.found, task.refined, loose)
+    return (*lamps, *glow.unsure(task.view(), task.factors, task.found))
 
 
 def _by_edges(task, edges):
@@ -282,7 +284,7 @@ def _is_wrong_everywhere(explained, audit, judged):
 def _why(task, answer: Answer, edges):
     """[Why] photograph and facts do not agree, the likeliest first."""
     result, explained = answer.result, answer.explained
-    why = agreement.disagreements(answer.problem, result, task.found, task.factors, task.transfer, explained.rivals)
+    why = agreement.disagreements(answer.problem, result, task.found, task.transfer, explained.rivals)
     if edges is not None and in_doubt(result):
         why = agreement.joined(why, edges.why)
     if answer.audit is None:

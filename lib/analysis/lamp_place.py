@@ -39,7 +39,7 @@ class Lamps:
         """Those that are small objects of their own."""
         model, things = light.view.model, {}
         world = World(model, light.view.camera)
-        for lamp in light.factors.lamps:
+        for lamp in light.factors.own_lamps:
             facets = np.flatnonzero(np.asarray(model.facet_group) == model.groups.index(lamp))
             owner = np.unique(np.asarray(model.facet_object)[facets])
             if len(owner) == 1 and owner[0] in world.movable:

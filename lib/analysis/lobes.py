@@ -49,7 +49,17 @@ def lobes(site: Site, finish: Finish, chains: Chains, tiles: Receivers, *, rays=
         np.repeat(some.chain, some.n_pixels),
     )
     rows = specular.rows(
-        site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, ray_start, begin, seed=seed, detail=detail
+        site.surface,
+        site.mesh,
+        finish,
+        chains,
+        site.lamps,
+        site.n_lamps,
+        ray_start,
+        begin,
+        outside=site.outside,
+        seed=seed,
+        detail=detail,
     )
     site.effort.note("rays in lobes", rows.rays)
     from scipy.sparse import csr_array

@@ -18,6 +18,7 @@ import numpy as np
 from lib.analysis.mixture import Mixture
 from lib.given.jpeg import SHARED_PX
 from lib.given.transfer import Metric, Transfer
+from lib.light.factors_file import OUTSIDE
 
 BALANCED = 1e-4  # largest relative residual of a light balance that counts as solved; it is solved to 1e-5
 MISFIT = 4.0  # residuals so many times what noise explains: something told to the fit is wrong
@@ -77,12 +78,21 @@ class TilePixels:
 
 
 class Halves(NamedTuple):
-    """G and F from the first and from the last half of their rays: their errors are independent."""
+    """G and F from the first and from the last half of their rays: their errors are independent.
+
+    D_tile : (one, other) by how much it is another then, () where no rays tell of the lamps' light
+    """
 
     G0: Any
     G1: Any
     F0: Any
     F1: Any
+    D_tile: tuple = ()
+
+    def difference(self, E, b):
+        """(T, C) half of what the two differ by in the light of the tiles."""
+        found = 0.5 * ((self.G0 - self.G1) @ b)
+        return found + 0.5 * ((self.D_tile[0] - self.D_tile[1]) @ E) if self.D_tile else found
 
 
 class ShapeStep(NamedTuple):
@@ -188,6 +198,7 @@ class Problem:
     G : (T, N) CSR with the sub-cell correction of the sources, as F has it;  G_plain : without it;  D_tile : (T, L)
     tile_group, tile_object : (T,) int;  start : (T + 1,) into pixels;  pixels : (M, C) display
     transfer : as given, or where its search begins;  fit_transfer : its parameters are free
+    lamps : names, of an open model the outside last, see lib/light/outside.py
     emittance : (L, C), NaN where unknown;  rho : (G, C), NaN where unknown, 0 for lamps, the given value for references
     halves : None where only one set of rays is known;  group_area : (G,)
     specular : light by way of mirrors and glossy surfaces, None where every group is diffuse
@@ -196,6 +207,7 @@ class Problem:
     block_noise : display, of blocks of pixels (JPEG);  edge_noise : (T,) of a pixel of each tile, beside edges, or None
     colour_noise : (C,) display, that all tiles of one colour have in common, or None
     unsure : ((dD, dD_tile), ...) changes of the lamps' light by one standard deviation of where things stand
+    spread_E : (L, C) standard deviation of emittances before anything is seen, which may be negative then; inf: any
     noisy : tiles are medians, see Photograph.noisy
     """
 
@@ -226,6 +238,7 @@ class Problem:
     edge_noise: np.ndarray | None = None
     colour_noise: np.ndarray | None = None
     unsure: tuple = ()
+    spread_E: np.ndarray | None = None
     noisy: bool = False
 
     def __post_init__(self):
@@ -258,6 +271,11 @@ class Problem:
     def known_groups(self):
         """Numbers of the groups whose reflectance is given: lamps and references."""
         return {int(g) for g in np.flatnonzero(~np.isnan(self.rho).any(axis=1))}
+
+    @property
+    def own_lamps(self):
+        """(L,) bool: the lamp is in the model."""
+        return np.array([name not in OUTSIDE for name in self.lamps], bool)
 
     @property
     def seen_groups(self):
@@ -419,6 +437,8 @@ def initialise(problem: Problem, transfer: Transfer):
     rho = np.where(np.isnan(rho), prior, rho)
     E = np.where(np.isnan(problem.emittance), 1.0, problem.emittance)
     unknown = np.isnan(problem.emittance)
+    E[~problem.own_lamps] = np.nan_to_num(problem.emittance[~problem.own_lamps])
+    unknown[~problem.own_lamps] = False
     if unknown.any():
         # one power for all unknown lamps so that the picture's mean is right at rho = 0.5
         level = (problem.D_tile @ E).mean(axis=0)
@@ -441,7 +461,7 @@ def unseen_prior(problem: Problem, rho):
 
 def scale(problem: Problem) -> str:
     """What fixes the scale of the light (SCENE.md 4)."""
-    if not np.isnan(problem.emittance).all():
+    if not np.isnan(problem.emittance[problem.own_lamps]).all():
         return "lamps"
     named = [g for g in problem.known_groups if problem.groups[g] not in problem.lamps]
     return "reference" if named else "interreflection"

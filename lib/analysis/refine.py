@@ -111,14 +111,14 @@ def flipped(view: View, factors: FormFactors, found: Gathered, explained: Explai
     given = explained.given
     if given is None or given.problem.specular is not None:
         return []
-    D, D_tile = DirectLight(view, factors, found).of(turned_over(view.model, factors.lamps))
-    if not D_tile.any():
+    D, D_tile = DirectLight(view, factors, found).of(turned_over(view.model, factors.own_lamps))
+    if not D_tile[:, given.problem.own_lamps].any():
         return []
     other = Candidate.of(replace(given.problem, D=D, D_tile=D_tile))
     nats = other.evidence.nats - given.evidence.nats
     if nats < enough(given.problem) or other.typical > given.typical / 2:
         return []
-    names = ", ".join(map(repr, factors.lamps))
+    names = ", ".join(map(repr, factors.own_lamps))
     text = f"the lamps ({names}) face the other way: turned over they fit better by {nats:.0f} nats"
     return [Why("lamp_flipped", factors.lamps[0], text, float(nats))]
 

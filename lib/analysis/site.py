@@ -13,7 +13,7 @@ from lib.analysis.problem import Problem
 from lib.analysis.receivers import Receivers, directions, placed
 from lib.buffers.edges import boundary
 from lib.given.view import View
-from lib.light import form_factors, lamps
+from lib.light import form_factors, lamps, outside
 from lib.light import surface as surfaces
 from lib.light.chains import Chains, Finish
 from lib.light.factors_file import FormFactors
@@ -83,8 +83,7 @@ class Site:
     @cached_property
     def is_lamp(self):
         """(F,) bool: the facet emits."""
-        numbers = [self.surface.groups.index(name) for name in self.factors.lamps]
-        return np.isin(self.surface.group, numbers)
+        return np.isin(self.surface.group, self.factors.lamp_groups)
 
     @property
     def mesh(self):
@@ -93,6 +92,11 @@ class Site:
     @property
     def n_lamps(self):
         return len(self.factors.lamps)
+
+    @property
+    def outside(self):
+        """What lies around an open model, see lib/light/outside.py."""
+        return self.factors.outside
 
     @property
     def channels(self):
@@ -151,6 +155,8 @@ class Site:
         )
         n_rays = np.full(len(first), rays)
         rows = form_factors.gather(self.surface, self.mesh, p, start, side[start[:-1]], n_rays, seed=seed)
+        around = outside.of_points(self.factors, self.surface, p, start, side[start[:-1]], rows)
+        direct[:, self.n_lamps - around.shape[1] :] = around
         self.effort.note("gathering rays", n_rays.sum())
         f = shown.facet[first].astype(np.int32)
         return Receivers(

@@ -11,6 +11,7 @@ from lib.analysis.problem import Doubt, Halves, Problem, SpecularTerms
 from lib.analysis.receivers import Receivers, Ways
 from lib.analysis.site import Site
 from lib.analysis.specular_ways import Traced
+from lib.light import outside
 from lib.light.chains import Finish
 from lib.light.specular import ChainRows
 
@@ -51,7 +52,7 @@ def assemble(
     if finish is not None:
         terms = _terms(site, finish, t, some, traced, unknown, rays, detail, final)
     seen = lambda half=None: (t.rows.matrix(half) @ site.subcell).tocsr()
-    base = site.base
+    base, apart = site.base, outside.halves(site.factors, t.direct, t.rows)
     return replace(
         base,
         rho=unknown.rho,
@@ -62,7 +63,7 @@ def assemble(
         tile_object=t.object,
         start=t.start,
         pixels=t.values,
-        halves=Halves(seen(0), seen(1), base.halves.F0, base.halves.F1) if base.halves else None,
+        halves=Halves(seen(0), seen(1), base.halves.F0, base.halves.F1, apart) if base.halves else None,
         specular=terms,
         variance=unknown.variance[t.group][:, None],
         edge_noise=None,

@@ -61,7 +61,9 @@ def tiles_of(site: Site, finish: Finish | None, chains: Chains, textured, *, ray
 def traced(site: Site, finish: Finish, chains: Chains, tiles: Receivers) -> Traced:
     """The specular ways of the light to the patches and to the tiles."""
     n_rays = max(int(site.factors.rows.shot.max(initial=1)), 512)
-    transport = specular.transport(site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, n_rays=n_rays)
+    transport = specular.transport(
+        site.surface, site.mesh, finish, chains, site.lamps, site.n_lamps, outside=site.outside, n_rays=n_rays
+    )
     site.effort.note("rays by specular ways", transport.rays)
     site.effort.lost = transport.lost
     mirrored = transport.mirrored, transport.way, transport.complete
@@ -84,6 +86,7 @@ def ways(site: Site, finish: Finish, chains: Chains, tiles: Receivers, mirrored=
         site.n_lamps,
         ray_start,
         specular.from_rays(surface, site.mesh, make),
+        outside=site.outside,
         seed=5,
         complete=complete,
         spread=True,

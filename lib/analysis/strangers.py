@@ -58,6 +58,7 @@ class _Picture:
     def __init__(self, view, explained, audit, climbed):
         problem, result, tiles = explained.problem, explained.result, audit.tiles
         self.view, self.groups, self.state, self.climbed = view, problem.groups, result.state, dict(climbed)
+        self.by_lamps = np.where(problem.own_lamps[:, None], result.state.E, 0)  # (L, C) emittances
         self.metric, self.pixel = Metric(result.state.transfer), tiles.pixel
         self.tiles, self.which = tiles, np.repeat(np.arange(len(tiles)), np.diff(tiles.start))
         self.B = shown(audit.subcell, problem, result, tiles)
@@ -95,7 +96,7 @@ class _Picture:
         normals = surfaces.side_normals(surface)
         emitters = lamps_.emitters(surface, factors.lamps, factors.lobes)
         direct = lamps_.direct(surface, emitters, p, normals, side, len(factors.lamps), n_samples=SAMPLES)
-        lamps = self.state.rho[self.group[some]] * (direct @ self.state.E)
+        lamps = self.state.rho[self.group[some]] * (direct @ self.by_lamps)
         low, high = (self.metric.value(lamps + light[some]) for light in self._indirect_nearby())
         off = np.maximum(low - self.seen[some], self.seen[some] - high).max(axis=1)
         self.strange[some] = off > self.least[some]
@@ -105,7 +106,7 @@ class _Picture:
         import cv2
 
         state, tiles = self.state, self.tiles
-        light = np.maximum(self.B - state.rho[tiles.group] * (tiles.direct @ state.E), 0)
+        light = np.maximum(self.B - state.rho[tiles.group] * (tiles.direct @ self.by_lamps), 0)
         side = np.sqrt(np.diff(tiles.start))
         low, high = light[self.which], light[self.which]
         picture = self._drawn(light[self.which].astype(np.float32), 0)

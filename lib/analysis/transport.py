@@ -107,12 +107,14 @@ class TileLight:
     def halves(self):
         """Two of the same with disjoint halves of the rays of tiles and lobes; only to look at the tiles with."""
         found = []
-        for k, G in enumerate((self.problem.halves.G0, self.problem.halves.G1)):
+        apart = self.problem.halves
+        for k, G in enumerate((apart.G0, apart.G1)):
             terms = self.problem.specular
             if terms is not None and terms.halves:
                 W, V = terms.halves[k]
                 terms = replace(terms, W=W, V=V, _mixtures={})
-            found.append(TileLight(replace(self.problem, G=G, specular=terms)))
+            D_tile = self.problem.D_tile + (apart.D_tile[k] if apart.D_tile else 0)
+            found.append(TileLight(replace(self.problem, G=G, D_tile=D_tile, specular=terms)))
         return found
 
     def lobes(self, E, b, bend=()):

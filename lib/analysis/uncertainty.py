@@ -92,7 +92,7 @@ def _tile_errors(problem, at, result):
     if problem.specular is not None and problem.specular.spread:
         found.append(at.slope * rho_tile * at.light.bent(*problem.specular.spread, state.E, state.b))
     if problem.halves:
-        sampling = at.slope * 0.5 * rho_tile * ((problem.halves.G0 - problem.halves.G1) @ state.b)
+        sampling = at.slope * rho_tile * problem.halves.difference(state.E, state.b)
         found.append(sampling)
         noise = problem.tile_noise
         expected = float(np.sqrt(np.median(sampling**2 / SQUARED_MEDIAN + noise)))

@@ -3,7 +3,7 @@
 One table for planning, which reads it without NumPy, and for the fit.
 """
 
-OF_PICTURE = ("curve", "vignetting", "lamp_lobe")
+OF_PICTURE = ("curve", "vignetting", "glow", "lamp_lobe")
 GEOMETRIC = ("pose", "objects", "lamp_place")  # after which all that rests on camera and model is made again
 BUILT = (*OF_PICTURE, *GEOMETRIC)
-CAUSES = (*BUILT, "glow", "fog")
+CAUSES = (*BUILT, "fog")

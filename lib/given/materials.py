@@ -271,6 +271,12 @@ class Materials:
         """{lamp: (4,) unit aim and exponent} of those that are not lambertian."""
         return {name: lamp.lobe.array for name, lamp in self.lamps.items() if lamp.lobe is not None}
 
+    @property
+    def outside(self):
+        """(4, 3) the glow that comes in where the model is open, and its changes, see lib/light/outside.py."""
+        values = next((cause.values for cause in self.explained if cause.cause == "glow"), {})
+        return np.vstack([values.get("radiosity") or np.zeros(3), values.get("gradient") or np.zeros((3, 3))])
+
     def texture_files(self, path):
         """{group: {facet: file}}, the files as seen from where materials.json at `path` lies."""
         folder = Path(path).parent

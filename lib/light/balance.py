@@ -116,12 +116,13 @@ class Patches:
     reach: np.ndarray
 
 
-def balance(F, D, patches: Patches, rho, E, lamp_groups, *, tolerance=1e-6, mirrored=None, lobed=()) -> Balance:
+def balance(F, D, patches: Patches, rho, E, lamp_groups, *, tolerance=1e-6, mirrored=None, uneven=()) -> Balance:
     """The light balance and its flux.
 
-    F, D : (N, N), (N, L), see `times`;  rho : (G, C);  E : (L, C);  lamp_groups : (L,) numbers of the lamps' groups
+    F, D : (N, N), (N, L), see `times`;  rho : (G, C);  E : (L, C)
+    lamp_groups : (L,) numbers of the lamps' groups, -1 for none
     mirrored : (G, C) rho_s of mirrors and lobes, which absorb that much less
-    lobed : numbers of the lamps that throw their light in lobes: of them counts what arrives
+    uneven : numbers of the lamps that throw their light in lobes or from outside: of them counts what arrives
 
     The flux is closed over rays alone: what leaves a patch and meets nothing, by the sums of its rays, has escaped. A
     closed scene keeps everything. The lamps' factors, reciprocity and the solve are all in what is left over.
@@ -132,15 +133,15 @@ def balance(F, D, patches: Patches, rho, E, lamp_groups, *, tolerance=1e-6, mirr
     b, indirect = solution.b, times(F, solution.b)
     emittance = np.zeros_like(b, dtype=float)
     for lamp, group in enumerate(lamp_groups):
-        if lamp not in lobed:
+        if lamp not in uneven:
             emittance[(patches.group == group) & patches.front] += E[lamp]
     size = (patches.area * patches.exposed)[:, None]
-    in_lobes = times(D, np.where(np.isin(np.arange(len(E)), list(lobed))[:, None], E, 0)) if len(lobed) else 0.0
+    arriving = times(D, np.where(np.isin(np.arange(len(E)), list(uneven))[:, None], E, 0)) if len(uneven) else 0.0
     kept = 1 - r - (0 if mirrored is None else mirrored[patches.group])
     return Balance(
         np.asarray(b, float),
         np.asarray(indirect, float),
-        emitted=(size * (emittance + in_lobes)).sum(axis=0),
+        emitted=(size * (emittance + arriving)).sum(axis=0),
         absorbed=(size * kept * (direct + indirect)).sum(axis=0),
         escaped=(size * (emittance + b) * (1 - patches.reach[:, None])).sum(axis=0),
         residual=solution.residual,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from lib.light.form_factors import FormFactorRows
 from lib.light.lamps import LAMBERTIAN
 
 SHARE = 1 / 3  # of what the step to the next coarser cell would lose that is lost inside a cell
+# names among lamps of what lies around an open model, even and along three axes (lib/light/outside.py): no groups'
+OUTSIDE = ("", " x", " y", " z")
 CONTRACTS = 1e-3  # a spectral radius may exceed the largest row sum by so much: single precision, and the search
 
 
@@ -32,11 +35,22 @@ class FormFactors:
     diagonal_m: float
     # {name: (4,)} of lamps whose lobes lamp_factor knows; the file's are lambertian, throws.in_lobes
     lobes: dict = field(default_factory=dict)
+    outside: Any = None  # lib.light.outside.Outside, where the last of the lamps are around the model; not in the file
 
     @property
-    def lobed(self):
-        """Numbers of the lamps that have a lobe."""
-        return [k for k, name in enumerate(self.lamps) if name in self.lobes]
+    def own_lamps(self):
+        """Names of the lamps that are in the model."""
+        return tuple(name for name in self.lamps if name not in OUTSIDE)
+
+    @property
+    def uneven(self):
+        """Numbers of the lamps whose flux is not that of an even emitter's area: lobes, and what comes from outside."""
+        return [k for k, name in enumerate(self.lamps) if name in self.lobes or name in OUTSIDE]
+
+    @property
+    def lamp_groups(self):
+        """(L,) numbers of the groups that emit, -1 for the outside."""
+        return np.array([-1 if name in OUTSIDE else self.groups.index(name) for name in self.lamps], int)
 
     @property
     def lobe_of_lamps(self):

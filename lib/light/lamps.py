@@ -61,12 +61,14 @@ def thrown(lobe, along):
 def emitters(surface: Surface, lamps, lobes=None) -> list[Emitter]:
     """The lamps' facets: each by itself while they are few, together where a lamp is a mesh of many.
 
-    lamps : names of the groups that emit, in the order of the columns of the factors
+    lamps : names of the groups that emit, in the order of the columns of the factors; the outside has no facets
     lobes : {name: (4,)} of those that throw their light in lobes
     """
     result = []
     area = triangle_areas(surface.corners)
     for lamp, name in enumerate(lamps):
+        if name not in surface.groups:
+            continue
         facets = np.flatnonzero(surface.group == surface.groups.index(name))
         sets = [[f] for f in facets] if len(facets) <= 8 else [facets]
         for chosen in sets:

@@ -15,7 +15,8 @@ from lib.light.surface import Surface
 class MirrorView:
     """What rays of the camera show after all mirrors.
 
-    facet : (n,) int32, -1 nothing, or still in mirrors when the count ran out;  side : (n,) int32;  p : (n, 3) local
+    facet : (n,) int32, -1 nothing, or still in mirrors when the count ran out;  side : (n,) int32
+    p : (n, 3) local, where there is nothing the last mirror's
     chain : (n,) int32;  direction : (n, 3) unit, of the last piece of the way
     """
 
@@ -53,16 +54,15 @@ def through_mirrors(surface: Surface, finish: Finish, chains: Chains, rays, *, d
         out.facet[i] = np.where(ends, f, -1)
         along = np.einsum("ij,ij->i", met.rays[:, 3:].astype(float), surface.normal[f])
         out.side[i] = 2 * f + (along > 0)
-        out.p[i] = met.rays[:, :3] + met.t[:, None].astype(float) * met.rays[:, 3:] if len(met) else out.p[i]
-        out.p[i[~np.isfinite(out.p[i]).all(axis=1)]] = 0
+        t = np.where(met.triangle >= 0, met.t, 0).astype(float)
+        out.p[i] = met.rays[:, :3] + t[:, None] * met.rays[:, 3:]
         out.chain[i] = met.chain
         out.direction[i] = met.rays[:, 3:]
 
-    with np.errstate(invalid="ignore"):
-        start = first_met(rays, triangle, t)
-        note(start)
-        for met in follow(surface, plain, own, start, depth=depth):
-            note(met)
+    start = first_met(rays, triangle, t)
+    note(start)
+    for met in follow(surface, plain, own, start, depth=depth):
+        note(met)
     # the chains of this view, in the numbers of all specular groups
     count = np.zeros((len(own), len(finish)), int)
     count[:, numbers] = own.counts

@@ -23,7 +23,7 @@ from lib.light import lamps as lamps_
 from lib.light.cells import Mesh
 from lib.light.chains import GLOSSY, MIRROR, Chains, Finish
 from lib.light.form_factors import chunks, located
-from lib.light.form_factors_kernels import DROPPED
+from lib.light.form_factors_kernels import DROPPED, ESCAPED
 from lib.light.paths import DEPTH, Met, first_met, follow
 from lib.light.small_room import small_room
 from lib.light.specular_lamps import add_lamps, lamp_found, lobe_light, mirrored_lamps
@@ -77,8 +77,8 @@ class _Tally:
     row : (n,) of each ray;  share : (n,) its part of its element's light
     """
 
-    def __init__(self, lamps, factors: _Entries, light: _Entries, row, share):
-        self.lamp = np.array([lamp.lamp for lamp in lamps], int)
+    def __init__(self, lamps, outside, factors: _Entries, light: _Entries, row, share):
+        self.lamp, self.outside = np.array([lamp.lamp for lamp in lamps], int), outside
         self.factors, self.light, self.row, self.share = factors, light, row, share
 
     def from_lobes(self, met: Met, each):
@@ -92,6 +92,15 @@ class _Tally:
         good = np.flatnonzero(patch >= 0)
         value = (met.weight * self.share[met.source])[good] * finer(good)
         self.factors.add(met.chain[good], self.row[met.source[good]], patch[good], value)
+
+    def from_outside(self, met: Met, patch):
+        """patch : (n,) ESCAPED of rays that leave the model"""
+        if self.outside is None:
+            return
+        gone = np.flatnonzero(patch == ESCAPED)
+        value = met.weight[gone] * self.share[met.source[gone]]
+        for k, seen in enumerate(self.outside.seen(met.rays[gone]).T, self.outside.first):
+            self.light.add(met.chain[gone], self.row[met.source[gone]], np.full(len(gone), k), value * seen)
 
     def from_lamps(self, met: Met, which, weight):
         """which, weight : (n,) of lamp_found"""
@@ -110,6 +119,7 @@ def rows(
     ray_start,
     begin,
     *,
+    outside=None,
     seed=0,
     complete=DEPTH,
     detail=None,
@@ -117,7 +127,8 @@ def rows(
 ) -> ChainRows:
     """The specular part of the rows of elements.
 
-    lamps : not mirrored ones;  ray_start : (R + 1,) rays of each element
+    lamps : not mirrored ones;  outside : of FormFactors
+    ray_start : (R + 1,) rays of each element
     begin : (first, last) -> Met of the rays of the elements first..last-1, and (n,) bool, which of them count
     complete : by how many mirrors lamps are mirrored; rays find those that are further
     detail : (rays, triangle, t, patch) -> (n,) what the light there is of its patch's; None: patches are of one light
@@ -135,7 +146,7 @@ def rows(
             row = element + R * (np.arange(ray_start[first], ray_start[last]) >= middle[element])
         start = replace(start, triangle=np.where(counts, start.triangle, -1))
         result.rays += len(start)
-        tally = _Tally(lamps, factors, light, row, share)
+        tally = _Tally(lamps, outside, factors, light, row, share)
         left = _follow(surface, mesh, finish, chains, lamps, start, tally, seed, complete, detail)
         result.lost += sum(float((weight * share[source]).sum()) for source, weight in left) / R
     shares = (1 + spread) * R
@@ -160,6 +171,7 @@ def _follow(surface, mesh, finish, chains, lamps, start, tally, seed, complete, 
             return 1 if detail is None else detail(met.rays[good], met.triangle[good], met.t[good], patch[good])
 
         tally.from_patches(met, patch, finer)
+        tally.from_outside(met, patch)
         tally.from_lamps(met, *lamp_found(surface, lamps, met, chains, complete))
     return left
 
@@ -230,15 +242,19 @@ class Transport:
     lost: float
 
 
-def transport(surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, *, n_rays=512) -> Transport:
+def transport(
+    surface: Surface, mesh: Mesh, finish: Finish, chains: Chains, lamps, n_lamps, *, outside=None, n_rays=512
+) -> Transport:
     """From the lamps and the patches to the patches by way of mirrors and glossy surfaces.
 
-    n_lamps : groups that emit;  n_rays : of each patch
+    n_lamps : groups that emit;  outside : see `rows`;  n_rays : of each patch
     """
     mirrored, way, complete = mirrored_lamps(surface, finish, chains, lamps)
     ray_start, make = form_factors.from_patches(surface, mesh, n_rays)
     begin = from_rays(surface, mesh, make)
-    result = rows(surface, mesh, finish, chains, lamps, n_lamps, ray_start, begin, seed=3, complete=complete)
+    result = rows(
+        surface, mesh, finish, chains, lamps, n_lamps, ray_start, begin, outside=outside, seed=3, complete=complete
+    )
     one = [replace(lamp, lamp=k) for k, lamp in enumerate(mirrored)]
     factor = lamps_.patch_direct(surface, mesh, one, len(one), n_points=32) if one else np.zeros((len(mesh), 0))
     add_lamps(result.D, mirrored, way, factor, n_lamps)

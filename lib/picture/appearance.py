@@ -9,6 +9,7 @@ import numpy as np
 from lib.core.stage import BadInput
 from lib.given import materials as materials_file
 from lib.light.chains import GLOSSY, MIRROR, Finish
+from lib.light.factors_file import OUTSIDE
 from lib.picture import albedo_maps
 
 
@@ -34,7 +35,8 @@ class Appearance:
 def read(path, groups, lamps, channels, n_facets):
     """(Appearance, materials.Materials, warnings) of materials.json.
 
-    groups : names of the model's groups;  lamps : names of those that emit;  channels : of the photograph
+    groups : names of the model's groups;  lamps : names of those that emit, with the outside or without
+    channels : of the photograph
 
     A group never seen takes the value that was `assumed`. One without any value is black, with a warning.
     BadInput: what cannot be rendered, one line for each value.
@@ -56,6 +58,9 @@ def read(path, groups, lamps, channels, n_facets):
         else:
             rho[g] = group.in_balance[:channels]
     for k, name in enumerate(lamps):
+        if name in OUTSIDE:
+            E[k] = found.outside[OUTSIDE.index(name)][:channels]
+            continue
         lamp = found.lamps[name]
         E[k] = lamp.emittance[:channels]
         if lamp.rho_d is not None:  # a lamp that is a reference too reflects that much
@@ -77,6 +82,8 @@ def _problems(found, groups, lamps):
             missing = [key for key in needed if getattr(group, key) is None]
             yield from (f"group {name!r}: {key} = None: a {group.kind} group needs it" for key in missing)
     for name in lamps:
+        if name in OUTSIDE:
+            continue
         lamp = found.lamps.get(name)
         if lamp is None or lamp.emittance is None:
             yield f"lamp {name!r}: {'missing' if lamp is None else 'emittance = None'}"

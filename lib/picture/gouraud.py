@@ -16,8 +16,8 @@ from lib.light import surface as surfaces
 def emittance(factors, side_is_front, lamps):
     """(N, C): what the lamps' front patches emit. lamps : (L, C)"""
     E = np.zeros((len(factors.mesh), lamps.shape[1]))
-    for k, name in enumerate(factors.lamps):
-        E[(factors.patch_group == factors.groups.index(name)) & side_is_front] += lamps[k]
+    for k, group in enumerate(factors.lamp_groups):
+        E[(factors.patch_group == group) & side_is_front] += lamps[k]
     return E
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lib.light.outside import Glow
 from lib.light.specular import SpecularLight
 from lib.light.surface import Surface
 from lib.picture.light_map_kernels import LightMapArrays
@@ -23,7 +24,7 @@ class LightMap:
     direct : (K, C) the part of `value` that comes straight from the lamps;  between : (K, C) irradiance from others
     open : (K, emitters) float32 factor to each emitter if nothing stood in between
     step : local, about the width of a texel;  rho : (F, C)
-    ways : where rays go on at mirrors and glossy surfaces
+    ways : where rays go on at mirrors and glossy surfaces;  glow : what rays find that leave the model, None: nothing
     """
 
     start: np.ndarray
@@ -37,6 +38,7 @@ class LightMap:
     step: float
     rho: np.ndarray
     ways: SpecularLight | None = None
+    glow: Glow | None = None
 
     @property
     def arrays(self) -> LightMapArrays:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lib.light import lamps, specular
+from lib.light import lamps, outside, specular
 from lib.light.balance import Balance, Patches, balance, stored, times
 from lib.light.chains import Chains
 from lib.light.factors_file import FormFactors
@@ -20,7 +20,7 @@ from lib.picture.light_map import LightMap
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """lamp_groups : (L,) numbers of the groups that emit;  light : of the patches
+    """lamp_groups : (L,) numbers of the groups that emit, -1 for the outside;  light : of the patches
     lamps : plain and mirrored Emitters, of emittances E (their number, C);  shown : what rays see
     lobes : (L, 4) of the lamp groups
     ways : where rays go on at mirrors and glossy surfaces, None where there are none
@@ -76,7 +76,7 @@ def lighting(
     """
     timing = timing or (lambda label: contextlib.nullcontext())
     plain = lamps.emitters(surface, factors.lamps, factors.lobes)
-    numbers = np.array([factors.groups.index(name) for name in factors.lamps], int)
+    numbers = factors.lamp_groups
     with timing("balance"):
         subcell = factors.subcell
         F = (factors.rows.matrix() @ subcell).tocsr()
@@ -90,22 +90,25 @@ def lighting(
         )
         if appearance.finish is None:
             light = balance(
-                [F], [factors.lamp_factor], patches, appearance.rho, appearance.E, numbers, lobed=factors.lobed
+                [F], [factors.lamp_factor], patches, appearance.rho, appearance.E, numbers, uneven=factors.uneven
             )
-            every, E, indirect, ways = plain, appearance.E, light.indirect, None
+            E_lamps = outside.without_outside(appearance.E, factors.lamps)
+            coming_in = factors.lamp_factor @ (appearance.E - E_lamps)
+            every, E, indirect, ways = plain, appearance.E, light.indirect + coming_in, None
         else:
             if transport is None:
                 chains = Chains(len(appearance.finish))
                 transport = specular.transport(
-                    surface, factors.mesh, appearance.finish, chains, plain, len(appearance.E)
+                    surface, factors.mesh, appearance.finish, chains, plain, len(appearance.E), outside=factors.outside
                 )
             light, indirect, ways = _past_mirrors(F, subcell, factors, patches, appearance, numbers, plain, transport)
             every, E = ways.every, ways.E_every
     with timing("texture"):
         rho_facet = appearance.rho[surface.group]
         exposed = factors.rows.exposed
+        glow = outside.Glow.of(factors, appearance.E)
         shown = texels.light_map(
-            surface, factors.mesh, every, E, indirect, exposed, rho_facet, texels=n_texels, ways=ways
+            surface, factors.mesh, every, E, indirect, exposed, rho_facet, glow=glow, texels=n_texels, ways=ways
         )
     return Lighting(surface, appearance, numbers, factors.lobe_of_lamps, light, every, E, shown, ways)
 
@@ -119,13 +122,14 @@ def _past_mirrors(F, subcell, factors, patches, appearance, lamp_groups, plain, 
     Ds = [sum((D * power[k, c] for k, D in transport.D.items()), factors.lamp_factor) for c in range(C)]
     mirrored = np.zeros_like(appearance.rho)
     mirrored[list(appearance.finish.groups)] = appearance.rho_s
-    light = balance(Fs, Ds, patches, appearance.rho, E, lamp_groups, mirrored=mirrored, lobed=factors.lobed)
-    # mirrored lamps are lamps of their own in the picture; what lobes bring of the lamps is indirect light
+    light = balance(Fs, Ds, patches, appearance.rho, E, lamp_groups, mirrored=mirrored, uneven=factors.uneven)
+    # mirrored lamps are lamps of their own in the picture; what lobes bring of the lamps is indirect light, and what
+    # comes from outside
     E_mirrored = np.array(
         [E[lamp.lamp] * power[k] for lamp, k in zip(transport.mirrored, transport.way, strict=True)]
     ).reshape(-1, C)
     every = plain + [replace(lamp, lamp=len(E) + k) for k, lamp in enumerate(transport.mirrored)]
-    direct = factors.lamp_factor @ E + transport.D_mirrored @ E_mirrored
+    direct = factors.lamp_factor @ outside.without_outside(E, factors.lamps) + transport.D_mirrored @ E_mirrored
     whole = times(Ds, E) + times(Fs, light.reflected)
     ways = SpecularLight(
         appearance.finish,

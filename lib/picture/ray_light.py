@@ -33,13 +33,22 @@ def gathered_light(surface, shown, lamps, E, p, first, last, side, n_rays, seed)
         b = min(m, a + step)
         rays = kernels.cosine_rays(a, b, sequence, shift, places, arrays)
         triangle, t = surface.caster.closest(rays)
-        near, close = lit_nearby(surface, shown, lamps, E, rays, triangle, t)
+        near, close = _with_glow(shown, rays, triangle, *lit_nearby(surface, shown, lamps, E, rays, triangle, t))
         total[a:b], half[a:b], distance[a:b] = kernels.look(
             RayEnds(rays, triangle, t), n_rays, arrays, shown.arrays, near, close
         )
         if shown.ways is not None:
             total[a:b] += _by_ways(surface, shown, rays, triangle, t, b - a, n_rays)
     return total, half, distance
+
+
+def _with_glow(shown, rays, triangle, near, close):
+    """near, close of `lit_nearby`, and what rays find that leave the model."""
+    if shown.glow is None:
+        return near, close
+    gone = np.flatnonzero(triangle < 0)
+    near[gone] = len(close) + np.arange(len(gone))
+    return near, np.vstack([close, shown.glow.light(rays[gone]).astype(np.float32)])
 
 
 def _by_ways(surface, shown, rays, triangle, t, m, n_rays):
@@ -80,7 +89,7 @@ def beyond(surface: Surface, shown: LightMap, start, element, m, *, seed=11):
 
 
 def reflected_at(surface: Surface, shown: LightMap, rays, triangle, t):
-    """What the ends of rays reflect diffusely towards them, (n, C); nothing inside solids.
+    """What the ends of rays reflect diffusely towards them, (n, C), or what is outside; nothing inside solids.
 
     Ends that are nearer than NEAR texels are lit by themselves.
     """
@@ -90,6 +99,9 @@ def reflected_at(surface: Surface, shown: LightMap, rays, triangle, t):
         return kernels.reflected_at(ends, surface.arrays, shown.start, shown.shape, value)
 
     light = look(slice(None), shown.value)
+    if shown.glow is not None:
+        gone = triangle < 0
+        light[gone] = shown.glow.light(rays[gone])
     if shown.ways is not None:
         near, close = lit_nearby(surface, shown, shown.ways.every, shown.ways.E_every, rays, triangle, t)
         near = np.flatnonzero(near >= 0)

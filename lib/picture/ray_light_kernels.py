@@ -120,7 +120,7 @@ def cosine_rays(a, b, sequence, shift, places: Places, surface: SurfaceArrays):
 def look(ends: RayEnds, n, surface: SurfaceArrays, shown: LightMapArrays, near, close):
     """What the n rays of each of K places meet.
 
-    near : (K * n,) row of `close` (m, C) for rays whose end is lit by itself, else -1
+    near : (K * n,) row of `close` (m, C) for rays whose end is lit by itself or outside of the model, else -1
     Returns the mean radiosity (K, C), half the difference of the rays' two halves (K, C), and the harmonic mean
     distance (K,).
 
@@ -142,6 +142,9 @@ def look(ends: RayEnds, n, surface: SurfaceArrays, shown: LightMapArrays, near, 
             part = 0 if 2 * k < n else 1
             if triangle[row] < 0:
                 valid[part] += 1
+                if near[row] >= 0:
+                    for c in range(C):
+                        sums[part, c] += close[near[row], c]
                 continue
             f = facet[triangle[row]]
             s = side_met(rays, row, f, normal)

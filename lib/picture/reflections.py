@@ -140,6 +140,17 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
     power = lit.ways.chains.power(lit.ways.rho_s)
     out.linear[virtual.y, virtual.x] = B * power[out.chain[virtual.y, virtual.x]]
     out.indirect[virtual.y, virtual.x] = between
+    gone, light = _outside(lit, view)
+    out.linear.reshape(H * W, -1)[mirror[gone]] = light
+
+
+def _outside(lit, view: MirrorView):
+    """Rays that leave the model after a mirror (n,), and what they show, (n, C)."""
+    if lit.shown.glow is None:
+        return np.zeros(0, np.int64), np.zeros((0, lit.appearance.channels))
+    gone = np.flatnonzero((view.facet < 0) & (view.chain > 0))
+    light = lit.shown.glow.light(np.hstack([view.p, view.direction])[gone])
+    return gone, light * lit.ways.chains.power(lit.ways.rho_s)[view.chain[gone]]
 
 
 def lobes(lit: Lighting, p, facet, direction, chain, n_rays, *, seed=19):
@@ -219,6 +230,8 @@ def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
     B[there] = (
         lit.radiosities(by_lamps + near, view.facet[there], side, p, view.direction[there]) * power[view.chain[there]]
     )
+    gone, light = _outside(lit, view)
+    B[gone] = light
     glossy = there[_kind(subject, view.facet[there]) == GLOSSY]
     if len(glossy):
         B[glossy] += lobes(

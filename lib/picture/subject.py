@@ -12,7 +12,7 @@ from lib.given.falloff import Lens
 from lib.given.transfer import Transfer, display_of_linear
 from lib.given.transfer_kinds import OF_LIGHT
 from lib.given.view import View
-from lib.light import factors_file, specular_file, throws
+from lib.light import factors_file, outside, specular_file, throws
 from lib.light import surface as surfaces
 from lib.light.factors_file import FormFactors
 from lib.light.specular_file import Traced
@@ -51,8 +51,8 @@ class Subject:
 
     @property
     def lamp_groups(self):
-        """(L,) numbers of the groups that emit."""
-        return np.array([self.groups.index(name) for name in self.factors.lamps], int)
+        """(L,) numbers of the groups that emit, -1 for the outside."""
+        return self.factors.lamp_groups
 
     @property
     def facet(self):
@@ -116,6 +116,8 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
     """
     view = View.read(camera=camera, model=model, photograph=photograph, facet=facet)
     factors = factors_file.read(formfactors, view.model, model)
+    surface = surfaces.surface(view.model, factors.lamps)
+    factors = outside.with_outside(factors, lambda: surface)
     pieces = artefact.read_npz(coverage, "pixel", "start", "facet", "count")
     if pieces["pixel"].max(initial=-1) >= view.facet.size or pieces["facet"].max(initial=-1) >= view.model.n_facets:
         raise BadInput(
@@ -123,7 +125,6 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
         )
     channels = view.photograph.values.shape[2]
     look, found, warnings = appearance.read(materials, factors.groups, factors.lamps, channels, view.model.n_facets)
-    surface = surfaces.surface(view.model, factors.lamps)
     factors = throws.in_lobes(factors, surface, found.lobes)
     traced = specular_file.read(specular) if specular and look.finish is not None else None
     if traced is not None and not traced.fits(look.finish, len(factors.mesh), factors.lobe_of_lamps):

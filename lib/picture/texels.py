@@ -32,6 +32,7 @@ def light_map(
     exposed,
     rho_facet,
     *,
+    glow=None,
     texels=TEXELS,
     samples=32,
     n_rays=64,
@@ -41,6 +42,7 @@ def light_map(
 
     lamps : from lamps.emitters;  E : (L, C);  indirect : (N, C) what others send to the patches
     exposed : (N,) share of each patch outside solids;  rho_facet : (F, C)
+    glow : outside.Glow, None: it is black around the model
     texels : about so many;  samples : shadow rays of each to each lamp;  n_rays : gathering rays of each, or 0
     """
     grid = _grids(surface, np.unique(mesh.side), texels)
@@ -58,7 +60,7 @@ def light_map(
 
     value = first + between[fill] * rho[f]
     shown = LightMap(
-        grid.start, grid.shape, value, irradiance, good, first, between, whole, float(grid.step), rho, ways
+        grid.start, grid.shape, value, irradiance, good, first, between, whole, float(grid.step), rho, ways, glow
     )
     if n_rays:
         # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches

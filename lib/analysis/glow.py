@@ -1,0 +1,99 @@
+"""Whether a glow comes in where the model is open: its radiosity, fitted with the rest (lib/light/outside.py).
+
+It is even first. What was left out is not, so it may change along three axes, as far as such things usually do: where
+the photograph does not tell how, that is in every sigma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lib.analysis.candidates import Candidate
+from lib.analysis.equations import Unknowns
+from lib.analysis.evidence import promised
+from lib.analysis.gather import Gathered
+from lib.analysis.problem import Problem, initialise
+from lib.given.transfer import Transfer
+from lib.given.view import View
+from lib.light import form_factors, outside
+from lib.light import surface as surfaces
+from lib.light.balance import reflected
+from lib.light.factors_file import OUTSIDE, FormFactors
+
+NAME = "glow"
+UNEVEN = 0.4  # standard deviation of the change from the middle of the model to an end of it, a share of the glow
+CURVED = 0.3  # the same of what does not change evenly, by each product of two axes
+STEEP = 1.0  # of the change along an axis, which may not be even by so much
+
+
+def is_dark(problem: Problem) -> bool:
+    """The model is open, and nothing comes in."""
+    return not problem.own_lamps.all() and not problem.emittance[~problem.own_lamps].any()
+
+
+def unsure(view: View, factors: FormFactors, found: Gathered) -> list:
+    """[(dD, dD_tile)] by which the light from outside is unsure, since what was left out does not change evenly."""
+    around, tiles = factors.outside, found.tiles
+    if around is None:
+        return []
+    surface = surfaces.surface(view.model, factors.lamps)
+    p, side = surfaces.backproject(surface, view.camera, np.repeat(tiles.facet, np.diff(tiles.start)), tiles.pixel)
+    to_patches = form_factors.from_patches(surface, factors.mesh, outside.RAYS, seed=3)
+    to_tiles = form_factors.from_points(surface, p, tiles.start, side[tiles.start[:-1]], tiles.rows.shot, seed=15)
+    there, seen = (outside.sums(surface, *way, around.curved) for way in (to_patches, to_tiles))
+    D, D_tile = factors.lamp_factor[:, around.first], tiles.direct[:, around.first]
+    mean, changes = seen.sum(axis=0) / max(D_tile.sum(), 1e-12), []
+    for k in range(there.shape[1]):
+        for lamp, share in ((around.first, CURVED), (around.first + 1 + k % 3, STEEP)):
+            dD, dD_tile = np.zeros_like(factors.lamp_factor), np.zeros_like(tiles.direct)
+            dD[:, lamp] = share * (there[:, k] - mean[k] * D)
+            dD_tile[:, lamp] = share * (seen[:, k] - mean[k] * D_tile)
+            changes.append((dD, dD_tile))
+    return changes
+
+
+def promise(found: Candidate) -> float:
+    """Nats that one step towards an even glow brings, of each channel for itself."""
+    problem, at = found.problem, found.result.at
+    k, C = [problem.lamps.index(OUTSIDE[0])], problem.channels
+    rho, matrices = at.state.rho[problem.patch_group].astype(np.float32), at.light.matrices
+    b = reflected(matrices.F, rho, rho * problem.D[:, k].astype(np.float32), tolerance=1e-3).b
+    dB = at.shown_share * (problem.D_tile[:, k] + problem.G @ b)
+    columns = np.zeros((*dB.shape, C))
+    columns[:, np.arange(C), np.arange(C)] = at.slope * dB
+    return promised(problem, at, columns).nats - found.evidence.nats
+
+
+def fitted(found: Candidate) -> Candidate:
+    """The fit with a glow."""
+    return _uneven(Candidate.of(_free(found.problem), found.taken | {NAME: {}}, start=found.start))
+
+
+def fitted_from(found: Candidate, gammas) -> Candidate:
+    """The same from where one of these gammas suits best: a gamma that was fitted in the dark may lie far away."""
+    told = []
+    for gamma in gammas:
+        transfer = Transfer("gamma", gamma)
+        start = Unknowns(*initialise(found.problem, transfer), transfer)
+        told.append(Candidate.of(_free(replace(found.problem, transfer=transfer, fit_transfer=False)), start=start))
+    best = max(told, key=lambda c: c.evidence.nats)
+    return _uneven(Candidate.of(_free(found.problem), found.taken | {NAME: {}}, start=best.start))
+
+
+def _free(problem: Problem) -> Problem:
+    """With an even glow of unknown radiosity."""
+    emittance = problem.emittance.copy()
+    emittance[problem.lamps.index(OUTSIDE[0])] = np.nan
+    return replace(problem, emittance=emittance)
+
+
+def _uneven(even: Candidate) -> Candidate:
+    """The fit with a glow that may change along the axes. even : the fit with one that may not"""
+    problem, E = even.problem, even.result.state.E
+    emittance, spread = problem.emittance.copy(), np.full(E.shape, np.inf)
+    for name in OUTSIDE[1:]:
+        k = problem.lamps.index(name)
+        emittance[k], spread[k] = np.nan, UNEVEN * np.maximum(E[problem.lamps.index(OUTSIDE[0])], 1e-6)
+    return Candidate.of(replace(problem, emittance=emittance, spread_E=spread), even.taken, start=even.start)
