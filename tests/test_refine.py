@@ -1,7 +1,5 @@
 """Camera, objects and lamps that stand elsewhere than given: what is made again, and what comes of it."""
 
-import json
-import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -19,6 +17,7 @@ from lib.given.view import View
 from lib.planning import makefile, scene
 from lib.planning.pipeline import read_pipeline
 from lib.planning.walk import walk
+from tests.helpers.changed_scenes import clean, deviated, obj
 
 ROOT = Path(__file__).resolve().parents[1]
 MODELS = sorted(path for path in (ROOT / "data").glob("*/model.*") if path.suffix != ".mtl")
@@ -50,11 +49,6 @@ def test_names_keep_their_order_where_facets_would_give_another(tmp_path):
 
 
 # ---- the plan ----
-
-
-def clean():
-    """The environment of a make that no other make has called."""
-    return {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k not in ("MFLAGS", "BUILD", "DATA")}
 
 
 @pytest.fixture
@@ -107,25 +101,6 @@ def test_a_first_stage_alone_is_taken_over_later(office):
 # ---- whole runs ----
 
 
-def deviated(tmp_path, change, name="flat-grey"):
-    folder = tmp_path / "data" / name
-    shutil.copytree(ROOT / "data" / name, folder)
-    change(folder)
-    words = ["make", f"DATA={tmp_path}/data", f"BUILD={tmp_path}/build", name]
-    run = subprocess.run(words, cwd=ROOT, env=clean(), capture_output=True, text=True)
-    assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
-    build = tmp_path / "build" / name
-    found = json.loads((build / "materials.json").read_text())
-    truth = json.loads((folder / "truth/materials.json").read_text())
-    off = [
-        abs(a - b) / s
-        for group, true in truth["groups"].items()
-        if (mine := found["groups"].get(group)) and mine["identified"] and mine["pixels"] > 1000 and true["rho_d"]
-        for a, b, s in zip(mine["rho_d"], true["rho_d"], mine["sigma"]["rho_d"], strict=True)
-    ]
-    return build, found, max(off, default=0)
-
-
 @pytest.mark.scene
 def test_a_camera_that_is_off_is_put_right(tmp_path):
     def turn(folder):
@@ -168,15 +143,6 @@ def test_a_lamp_is_moved_to_where_its_light_has_it(tmp_path):
 
 
 # ---- what is said where nothing can be put right ----
-
-
-def obj(folder, change):
-    """model.obj with each line, and the object that it belongs to, changed; None drops it."""
-    path, thing, lines = folder / "model.obj", "", []
-    for line in path.read_text().splitlines():
-        thing = line.removeprefix("o ") if line.startswith("o ") else thing
-        lines.append(change(line, thing))
-    path.write_text("\n".join(line for line in lines if line is not None) + "\n")
 
 
 def vertices(folder, change):

@@ -18,9 +18,10 @@ from lib.given import image, model
 from lib.given.cameras import Camera, write_cameramodel
 from lib.given.transfer import Transfer
 from lib.given.view import View
-from lib.light import factors_file, form_factors
+from lib.light import factors_file, form_factors, outside
 from lib.light import lamps as lamps_
 from lib.light import surface as surfaces
+from lib.light.chains import GLOSSY, MIRROR, Finish
 from lib.picture import (
     appearance,
     display,
@@ -197,6 +198,34 @@ def test_furnace(tmp_path):
         lamps=groups,
     )
     assert rendering.render(s).linear == pytest.approx(np.full((48, 64, 1), 2.5), rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    "kind, lost", [(None, 0.01), (MIRROR, 0.01), (GLOSSY, 0.015)], ids=["diffuse", "mirror", "gloss"]
+)
+def test_an_open_room_in_a_glow(tmp_path, kind, lost):
+    """What reflects all light, whatever way, is as bright as the glow around it: 1 in every pixel.
+
+    lost : what Ward's lobes lose at grazing angles
+    """
+    objects = rooms.room() | rooms.LAMP
+    objects["room"] = [wall for wall in objects["room"] if wall[0] != "south"]
+    rho = dict.fromkeys(("bottom", "top", "west", "east", "north", "lamp"), 0.999)
+    s = scene(tmp_path, objects, look((2, -2, 1.2), (2, 1.5, 1.2)), rho=rho, E=0.0)
+    factors = outside.with_outside(s.factors, lambda: s.surface)
+    E = np.zeros((len(factors.lamps), 1))
+    E[factors.outside.first] = 1
+    seen = replace(s.appearance, E=E)
+    if kind is not None:
+        wall = s.groups.index("north")
+        rho = seen.rho.copy()
+        rho[wall] = 0.8 if kind == GLOSSY else 0
+        finish = Finish((wall,), np.array([kind]), np.full((1, 2), 0.1), np.array([[1.0, 0, 0]]))
+        seen = replace(seen, rho=rho, finish=finish, rho_s=np.full((1, 1), 0.199 if kind == GLOSSY else 1.0))
+    picture = rendering.render(replace(s, factors=factors, appearance=seen))
+    shown = picture.linear[s.pure, 0]
+    assert np.median(shown) == pytest.approx(1.0, abs=lost) and np.quantile(shown, 0.02) > 0.97 - lost
+    assert picture.light.imbalance < 1e-2
 
 
 def test_flux_is_balanced(office, tmp_path):

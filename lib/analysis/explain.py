@@ -151,7 +151,7 @@ def without_lobes(problem: Problem, leave: Leave, **options) -> Explained:
     """The fit with the causes that are of the camera alone."""
     if not len(problem.tile_group):
         return Explained(problem, *fit(problem, **options), lens=leave.lens)
-    first = _begun(problem, options.pop("gamma", None), options.get("trace"))
+    first = _begun(problem, leave, options.pop("gamma", None), options.get("trace"))
     return _finished(first, first, [], leave, options)
 
 
@@ -170,7 +170,7 @@ def with_lobes(found: Explained, leave: Leave, **options) -> Explained:
         if base is not bases[0][0] and not in_doubt(found.result):
             break
         lobed = _lobed(base, leave.lobes, not fits(found.result))
-        if lobed is None or lobed.evidence.nats < found.best.evidence.nats - least:
+        if lobed is None or lamp_lobe.is_flat(lobed) or lobed.evidence.nats < found.best.evidence.nats - least:
             continue
         instead_of = {} if before else {taken.cause: taken.nats for taken in found.taken}
         taken = Taken(lamp_lobe.NAME, lobed.evidence.nats - base.evidence.nats, instead_of)
@@ -199,23 +199,28 @@ def _lobed(base: Candidate, lobes: LampLobes, hopeless) -> Candidate | None:
     return lamp_lobe.begun(base, uneven, lobes) if tries else None
 
 
-def _begun(problem: Problem, gamma, trace) -> Candidate:
+def _begun(problem: Problem, leave: Leave, gamma, trace) -> Candidate:
     """The rough fit under the given facts, from other gammas as well where it leaves something to explain.
 
     gamma and the reflectances share a valley: dark photographs have another minimum beyond gamma 4.
     """
     first = Candidate.of(problem, trace=trace, gamma=gamma)
-    if not _searches_gamma(first) or responses.promise(first) < enough(problem):
+    promise = responses.promise(first)
+    if not _searches_gamma(first) or promise < enough(problem):
         return first
+    if _may_glow(first, leave) and glow.promise(first) > promise:
+        return first  # no gamma is what is wrong
     others = [Candidate.of(problem, gamma=start) for start in STARTS]
     return max([first, *others], key=lambda c: c.evidence.nats)
 
 
 def _climbed(best: Candidate, leave: Leave):
     """The best candidate, [Taken] on the way to it, and the candidates with other transfer functions."""
-    taken, functions, tried = [], (), set()
+    taken, functions, tried = [], (), {vignetting.NAME} & best.taken.keys()
     while wanted := _promising(best, leave, tried):
-        tried |= wanted.keys()
+        if max(wanted, key=wanted.get) == glow.NAME:
+            wanted = {glow.NAME}  # in the dark of an open model the others only bend to it
+        tried |= set(wanted)
         candidates = {}
         if "response" in wanted:
             functions = (best, *responses.fitted(best))
@@ -227,7 +232,7 @@ def _climbed(best: Candidate, leave: Leave):
             candidates[glow.NAME] = _settled(_in_glow(best), best, leave)
         better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}
         if not better:
-            break
+            continue
         cause = max(better, key=lambda cause: better[cause].evidence.nats)
         gain = {name: c.evidence.nats - best.evidence.nats for name, c in candidates.items()}
         taken.append(Taken(cause, gain.pop(cause), gain))
@@ -237,10 +242,12 @@ def _climbed(best: Candidate, leave: Leave):
 
 
 def _settled(found: Candidate, before: Candidate, leave: Leave) -> Candidate:
-    """With the lamps' lobes fitted again, if it has any and is another explanation than before."""
-    if found is before or lamp_lobe.NAME not in found.taken:
+    """With what was taken before fitted again, where that was linearised, if it is another explanation than before."""
+    if found is before:
         return found
-    return lamp_lobe.fitted(found, leave.lobes)
+    if vignetting.NAME in before.taken:
+        found = vignetting.fitted(found, leave.lens, leave.pixel)
+    return lamp_lobe.fitted(found, leave.lobes) if lamp_lobe.NAME in found.taken else found
 
 
 def _vignetted(best: Candidate, leave: Leave) -> Candidate:
@@ -260,6 +267,11 @@ def _in_glow(best: Candidate) -> Candidate:
     return max(first, glow.fitted_from(best, (*STARTS, USUAL_GAMMA)), key=lambda c: c.evidence.nats)
 
 
+def _may_glow(found: Candidate, leave: Leave) -> bool:
+    """A glow from outside may be what is wrong."""
+    return glow.NAME in leave.causes and glow.is_dark(found.problem)
+
+
 def _searches_gamma(found: Candidate) -> bool:
     """Another start may find another gamma."""
     return found.problem.fit_transfer and found.kind == "gamma" and found.typical < HOPELESS
@@ -272,7 +284,7 @@ def _promising(found: Candidate, leave: Leave, tried) -> dict:
         promises["response"] = responses.promise(found)
     if leave.lens is not None and "vignetting" in leave.causes and "vignetting" not in tried:
         promises["vignetting"] = vignetting.promise(found, leave.lens, leave.pixel)
-    if glow.NAME in leave.causes and glow.NAME not in tried and glow.is_dark(found.problem):
+    if glow.NAME not in tried and _may_glow(found, leave):
         promises[glow.NAME] = glow.promise(found)
     least = enough(found.problem)
     return {cause: nats for cause, nats in promises.items() if nats >= least}

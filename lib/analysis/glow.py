@@ -68,7 +68,7 @@ def promise(found: Candidate) -> float:
 
 def fitted(found: Candidate) -> Candidate:
     """The fit with a glow."""
-    return _uneven(Candidate.of(_free(found.problem), found.taken | {NAME: {}}, start=found.start))
+    return changing(even(found))
 
 
 def fitted_from(found: Candidate, gammas) -> Candidate:
@@ -79,7 +79,7 @@ def fitted_from(found: Candidate, gammas) -> Candidate:
         start = Unknowns(*initialise(found.problem, transfer), transfer)
         told.append(Candidate.of(_free(replace(found.problem, transfer=transfer, fit_transfer=False)), start=start))
     best = max(told, key=lambda c: c.evidence.nats)
-    return _uneven(Candidate.of(_free(found.problem), found.taken | {NAME: {}}, start=best.start))
+    return changing(even(replace(found, result=best.result)))
 
 
 def _free(problem: Problem) -> Problem:
@@ -89,11 +89,16 @@ def _free(problem: Problem) -> Problem:
     return replace(problem, emittance=emittance)
 
 
-def _uneven(even: Candidate) -> Candidate:
-    """The fit with a glow that may change along the axes. even : the fit with one that may not"""
-    problem, E = even.problem, even.result.state.E
+def even(found: Candidate) -> Candidate:
+    """The fit with a glow that is the same everywhere."""
+    return Candidate.of(_free(found.problem), found.taken | {NAME: {}}, start=found.start)
+
+
+def changing(found: Candidate) -> Candidate:
+    """The fit with a glow that may change along the axes. found : the fit with one that may not"""
+    problem, E = found.problem, found.result.state.E
     emittance, spread = problem.emittance.copy(), np.full(E.shape, np.inf)
     for name in OUTSIDE[1:]:
         k = problem.lamps.index(name)
         emittance[k], spread[k] = np.nan, UNEVEN * np.maximum(E[problem.lamps.index(OUTSIDE[0])], 1e-6)
-    return Candidate.of(replace(problem, emittance=emittance, spread_E=spread), even.taken, start=even.start)
+    return Candidate.of(replace(problem, emittance=emittance, spread_E=spread), found.taken, start=found.start)

@@ -27,6 +27,7 @@ from lib.light.throws import Throws
 
 NAME = "lamp_lobe"
 LEAST, MOST = 0.05, 100.0  # exponents: what is flatter or sharper is no lobe that a photograph tells of
+FLAT = 1.5  # times the least exponent, up to which a lobe is none
 SPREAD = np.array([0.5, 0.5, 1.0])  # of a step: two turns of the aim, rad, and the exponent's logarithm
 UNEVEN = 1.0  # standard deviation of each number of 1 + a . direction
 FADES = 0.3  # of the mean light, the least that uneven light is taken to have left
@@ -198,6 +199,11 @@ def fitted(found: Candidate, lobes: LampLobes, more=None) -> Candidate:
             break
     last = replace(at.problem, cause=lobes.cause(at, lobes_at).beside(others))
     return Candidate.of(last, found.taken | {NAME: lobes_at}, start=start)
+
+
+def is_flat(found: Candidate) -> bool:
+    """Lamps that are lambertian, or next to it: their lobes have run into the least exponent."""
+    return all(lobe[3] <= FLAT * LEAST for lobe in found.taken[NAME].values())
 
 
 def _error(at: Equations):

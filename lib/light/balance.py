@@ -116,12 +116,15 @@ class Patches:
     reach: np.ndarray
 
 
-def balance(F, D, patches: Patches, rho, E, lamp_groups, *, tolerance=1e-6, mirrored=None, uneven=()) -> Balance:
+def balance(
+    F, D, patches: Patches, rho, E, lamp_groups, *, tolerance=1e-6, mirrored=None, leaving=0.0, uneven=()
+) -> Balance:
     """The light balance and its flux.
 
     F, D : (N, N), (N, L), see `times`;  rho : (G, C);  E : (L, C)
     lamp_groups : (L,) numbers of the lamps' groups, -1 for none
     mirrored : (G, C) rho_s of mirrors and lobes, which absorb that much less
+    leaving : (N, C) share of a patch's light that leaves by way of those
     uneven : numbers of the lamps that throw their light in lobes or from outside: of them counts what arrives
 
     The flux is closed over rays alone: what leaves a patch and meets nothing, by the sums of its rays, has escaped. A
@@ -137,13 +140,14 @@ def balance(F, D, patches: Patches, rho, E, lamp_groups, *, tolerance=1e-6, mirr
             emittance[(patches.group == group) & patches.front] += E[lamp]
     size = (patches.area * patches.exposed)[:, None]
     arriving = times(D, np.where(np.isin(np.arange(len(E)), list(uneven))[:, None], E, 0)) if len(uneven) else 0.0
-    kept = 1 - r - (0 if mirrored is None else mirrored[patches.group])
+    passed_on = 0.0 if mirrored is None else mirrored[patches.group]
+    kept = 1 - r - passed_on
     return Balance(
         np.asarray(b, float),
         np.asarray(indirect, float),
-        emitted=(size * (emittance + arriving)).sum(axis=0),
+        emitted=(size * (emittance + arriving * (1 - passed_on))).sum(axis=0),
         absorbed=(size * kept * (direct + indirect)).sum(axis=0),
-        escaped=(size * (emittance + b) * (1 - patches.reach[:, None])).sum(axis=0),
+        escaped=(size * (emittance + b) * (1 - patches.reach[:, None] + leaving)).sum(axis=0),
         residual=solution.residual,
         iterations=solution.iterations,
     )

@@ -122,7 +122,11 @@ def _past_mirrors(F, subcell, factors, patches, appearance, lamp_groups, plain, 
     Ds = [sum((D * power[k, c] for k, D in transport.D.items()), factors.lamp_factor) for c in range(C)]
     mirrored = np.zeros_like(appearance.rho)
     mirrored[list(appearance.finish.groups)] = appearance.rho_s
-    light = balance(Fs, Ds, patches, appearance.rho, E, lamp_groups, mirrored=mirrored, uneven=factors.uneven)
+    around = factors.outside
+    leaving = sum((power[k] * D[:, [around.first]] for k, D in transport.D.items()), 0.0) if around else 0.0
+    light = balance(
+        Fs, Ds, patches, appearance.rho, E, lamp_groups, mirrored=mirrored, leaving=leaving, uneven=factors.uneven
+    )
     # mirrored lamps are lamps of their own in the picture; what lobes bring of the lamps is indirect light, and what
     # comes from outside
     E_mirrored = np.array(

@@ -3,6 +3,7 @@
 pose        `office` seen from 2 px beside: what is left of the error, px, by the width at which edges are placed
 objects     a box of `office` 3 cm beside: what is left, m, by the same width
 lamp_place  the lamp of `office` 12 cm beside: reflectances, by the rounds of moving it
+glow        `office` without the wall behind the camera: reflectances, by how the glow may change, and by rays
 lamp_lobe   `lobed-8`, whose scene.yaml tells of no lobe: reflectances, by the rounds of fitting it
 vignetting  cos^4, 37 degrees in the corner, by the number of radial terms: reflectances
 response    a film curve, by the function that is fitted: reflectances
@@ -16,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.bench.fit_curves import SETTINGS, Case
+from tests.bench.fit_curves import ROOT, SETTINGS, Case
 
 HEAD = ("cause", "scene", "setting", "cpu_s", "error", "unit")
 DRAWS = 6
@@ -30,6 +31,7 @@ def measure(log):
     rows = [*poses(cases[0]), *objects(cases[0])]
     for of_lamp, case in ((lamp_place, Case("office")), (lamp_lobe, Case("lobed-8"))):
         rows += [(cause, case.name, setting, cpu_s, error, "1") for cause, setting, cpu_s, error in of_lamp(case)]
+    rows += [("glow", "office", setting, cpu_s, error, "1") for setting, cpu_s, error in glow()]
     for case in cases:
         light = case.photograph.values**case.gamma
         case.problem(*SETTINGS[0])  # warm-up
@@ -127,6 +129,36 @@ def lamp_lobe(case):
         found = own.begun(first, own.uneven(first, lobes), lobes)
         yield "lamp_lobe", f"{rounds - 1} rounds", time.process_time() - began, case.errors(found.result.state)[0]
     own.ROUNDS = usual
+
+
+def glow():
+    """Black outside, an even glow, and one that changes along the axes."""
+    import tempfile
+    from pathlib import Path
+    from shutil import copytree
+
+    from lib.analysis import gather
+    from lib.analysis import glow as own
+    from lib.analysis.candidates import Candidate
+    from lib.analysis.facts import problem_of
+
+    with tempfile.TemporaryDirectory() as folder:
+        there = copytree(ROOT / "data/office", Path(folder) / "office")
+        lines = (there / "model.obj").read_text()
+        (there / "model.obj").write_text(lines.replace("f 4 6 5 1\n", "", 1))
+        case = Case("office", there)
+    case.problem(*SETTINGS[0])  # warm-up
+    for setting in SETTINGS[1:5]:
+        _, cpu_s = case.problem(*setting)
+        factors, found = gather.with_outside(lambda: case.view, case.factors, case.found)
+        problem = problem_of(factors, found, lamps=case.facts["lamps"], reference={}, transfer=None)
+        began = time.process_time()
+        dark = Candidate.of(problem)
+        yield f"black, {setting[3]} rays", cpu_s + time.process_time() - began, case.errors(dark.result.state)[0]
+        even = own.even(dark)
+        yield f"even, {setting[3]} rays", cpu_s + time.process_time() - began, case.errors(even.result.state)[0]
+        changing = own.changing(even)
+        yield f"changing, {setting[3]} rays", cpu_s + time.process_time() - began, case.errors(changing.result.state)[0]
 
 
 def _project(K, T, points):

@@ -25,11 +25,12 @@ SETTINGS = [
 class Case:
     """A shipped scene: index buffers once, the rest at any setting. Truth is read to score, and by nothing else."""
 
-    def __init__(self, name):
+    def __init__(self, name, folder=None):
+        """folder : of another scene with the same truth, by default data/<name>"""
         from lib.buffers import edges, index_buffer, opengl, trust
         from lib.given import cameras, image, model
 
-        folder = ROOT / "data" / name
+        folder = folder or ROOT / "data" / name
         self.name = name
         self.facts = yaml.safe_load((folder / "scene.yaml").read_text())
         self.model = model.load(folder / "model.obj")

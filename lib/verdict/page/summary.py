@@ -124,6 +124,9 @@ def _taken(cause):
     elif "aim" in values:
         aim = ", ".join(f"{v:.2f}" for v in values["aim"])
         said = f"lamp {cause.subject!r} throws its light in a lobe, cos^{values['exponent']:.2f} about ({aim})"
+    elif "radiosity" in values:
+        glow = ", ".join(f"{v:.2g}" for v in values["radiosity"])
+        said = f"the model is open, and light from outside comes in (radiosity {glow})"
     elif "offset_px" in values:
         said = f"principal point moved by {far('offset_px'):.2f} px"
     else:
