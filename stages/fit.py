@@ -130,6 +130,7 @@ def task_of(opt):
     lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
     if opt.lobes and not shown:
         raise stage.BadInput("--lobes: without --audit, --camera, --model, --photograph and --facet")
+    lambertian = factors, found
     if lobes:
         factors, found, audit = lamp_lobe.in_lobes(view(), factors, lobes, found, audit)
     return Task(
@@ -142,6 +143,7 @@ def task_of(opt):
         lamps=opt.lamps,
         place_sigma_m=opt.place_sigma_m,
         lobes=lobes,
+        lambertian=lambertian,
         lobes_unknown=opt.lobes.keys() - lobes.keys(),
         surfaces=opt.surfaces,
         transfer=opt.transfer,

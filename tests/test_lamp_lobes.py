@@ -171,3 +171,10 @@ def test_the_ladder_climbs_in_the_light_of_a_lobe(tmp_path):
 def test_without_leave_a_lobe_is_a_misfit(tmp_path):
     found = fitted(tmp_path, "lamps: {lamp: [36.2979, 31.3137, 27.1693]}\nexplain: []\n")
     assert found.status == "does not fit" and not any(group.identified for group in found.groups.values())
+
+
+def test_a_lobe_that_is_told_wrongly_is_named(tmp_path):
+    true = TRUTH.lamps["lamp"].lobe
+    found = fitted(tmp_path, LAMP_YAML % json.dumps({"aim": list(true.aim), "exponent": true.exponent + 1}))
+    assert found.status == "does not fit" and [(why.cause, why.subject) for why in found.why] == [("lamp_lobe", "lamp")]
+    assert f"cos^{true.exponent:.1f}"[:6] in found.why[0].text

@@ -38,6 +38,7 @@ class Task:
     audit : the light of all pixels, or None
     lamps, place_sigma_m, surfaces, transfer, causes : as scene.yaml has them (causes: `explain`, or None)
     lobes : {lamp: (4,)} that scene.yaml tells, which factors, found and audit know;  lobes_unknown : {lamp} to be found
+    lambertian : (factors, found) that do not know them
     gamma : where it starts
     may_refine : camera and model are as given, and others may be asked for;  refined : [Cause] that were, else
     options : of gauss_newton.gauss_newton
@@ -52,6 +53,7 @@ class Task:
     lamps: dict
     place_sigma_m: dict
     lobes: dict
+    lambertian: tuple
     lobes_unknown: set
     surfaces: dict
     transfer: object
@@ -178,6 +180,11 @@ def _told_wrong(task, explained) -> list:
     """[Why] of lamps that scene.yaml or the model has wrong, where that is all that is wrong."""
     if agreement.fits(explained.result):
         return []
+    if task.lobes:
+        lobes = LampLobes(task.view, *task.lambertian, tuple(task.lobes))
+        why, settled = lamp_lobe.told_wrong(explained.given, lobes, task.lobes)
+        if settled:
+            return why
     why, settled = agreement.lamps_told(explained.problem, explained.result)
     if settled or explained.given.typical < explain.HOPELESS:
         return why if settled else []

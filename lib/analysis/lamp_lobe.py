@@ -11,13 +11,14 @@ from functools import cached_property
 
 import numpy as np
 
-from lib.analysis.candidates import Candidate
+from lib.analysis.candidates import Candidate, enough
 from lib.analysis.equations import Equations, Layout
-from lib.analysis.evidence import evidence
+from lib.analysis.evidence import evidence, promised
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import CauseTerms, Problem
 from lib.analysis.transport import TileLight
+from lib.given.materials import Why
 from lib.given.view import View
 from lib.light import surface as surfaces
 from lib.light import throws
@@ -31,6 +32,7 @@ FLAT = 1.5  # times the least exponent, up to which a lobe is none
 SPREAD = np.array([0.5, 0.5, 1.0])  # of a step: two turns of the aim, rad, and the exponent's logarithm
 UNEVEN = 1.0  # standard deviation of each number of 1 + a . direction
 FADES = 0.3  # of the mean light, the least that uneven light is taken to have left
+ALL_WRONG = 0.3  # of the typical residual, below which told lobes are all that is wrong
 FIRST = (1.0, 3.0)  # exponents to begin with
 SETTLES = 0.2  # of the typical residual: what leaves no more needs no other start
 ROUNDS, SETTLED, INNER = 20, 5e-3, 2
@@ -108,6 +110,28 @@ class LampLobes:
             slopes = [way.slopes(lobe, across(lobe)) for way in self.ways[lamp]]
             columns.append(self.columns(at, lamp, slopes))
         return CauseTerms((NAME,) * 3 * len(lobes), np.concatenate(columns, axis=-1), np.tile(SPREAD, len(lobes)))
+
+
+def told_wrong(found: Candidate, lobes: LampLobes, told) -> tuple[list[Why], bool]:
+    """A line for each lamp whose lobe is told, where others fit far better; and whether they are all that is wrong.
+
+    found : the fit under the given facts;  told : {lamp: (4,)}
+    """
+    terms = lobes.cause(found.result.at, told)
+    prior = np.diag(1 / terms.spread**2)
+    promise = promised(found.problem, found.result.at, terms.columns, prior=prior).nats - found.evidence.nats
+    if promise < enough(found.problem):
+        return [], False
+    other = fitted(found, lobes, told)
+    gain = other.evidence.nats - found.evidence.nats
+    if gain < enough(found.problem):
+        return [], False
+    why = []
+    for lamp, lobe in other.taken[NAME].items():
+        aim = ", ".join(f"{v:.2f}" for v in lobe[:3])
+        text = f"lamp {lamp!r}: a lobe cos^{lobe[3]:.2g} about ({aim}) fits the photograph better by {gain:.0f} nats"
+        why.append(Why(NAME, lamp, text, float(gain)))
+    return why, other.typical < ALL_WRONG * found.typical
 
 
 def to_tiles(surface, camera, found: Gathered, lamp) -> Throws:
