@@ -129,7 +129,7 @@ def told_wrong(found: Candidate, lobes: LampLobes, told) -> tuple[list[Why], boo
     why = []
     for lamp, lobe in other.taken[NAME].items():
         aim = ", ".join(f"{v:.2f}" for v in lobe[:3])
-        text = f"lamp {lamp!r}: a lobe cos^{lobe[3]:.2g} about ({aim}) fits the photograph better by {gain:.0f} nats"
+        text = f"lamp {lamp!r}: a lobe cos^{lobe[3]:.2f} about ({aim}) fits the photograph better by {gain:.0f} nats"
         why.append(Why(NAME, lamp, text, float(gain)))
     return why, other.typical < ALL_WRONG * found.typical
 
