@@ -34,7 +34,7 @@ def test_what_leaves_is_what_the_missing_wall_would_have_caught(tmp_path):
     """Against the rays of the closed room that meet that wall."""
     s, factors = open_room(tmp_path)
     lit = outside.with_outside(factors, lambda: s)
-    assert lit.lamps == ("lamp", *OUTSIDE) and lit.own_lamps == ("lamp",) and list(lit.lamp_groups[1:]) == [-1] * 4
+    assert lit.lamps == ("lamp", *OUTSIDE) and lit.own_lamps == ("lamp",) and list(lit.lamp_groups[1:]) == [-1] * 10
     (tmp_path / "closed").mkdir()
     whole, closed = open_room(tmp_path / "closed", without=None)
     wall = closed.patch_group == whole.groups.index("south")
@@ -57,9 +57,9 @@ def test_where_rays_leave(tmp_path):
     rays = np.hstack([np.broadcast_to(middle, aims.shape), aims / np.linalg.norm(aims, axis=1, keepdims=True)])
     assert np.allclose(around.at(rays), aims / half, atol=0.02)
     assert abs(around.middle[0]) < 0.05 and around.middle[1] == pytest.approx(-1, abs=0.02)
-    glow = outside.Glow(around, np.array([[2.0], [1.0], [0.0], [0.0]]))
+    glow = outside.Glow(around, np.array([[2.0], [1.0], *[[0.0]] * 8]))
     assert glow.light(rays)[:, 0] == pytest.approx(2 + (aims / half)[:, 0] - around.middle[0], abs=0.02)
-    assert (outside.Glow(around, np.array([[0.0], [1.0], [0.0], [0.0]])).light(rays) >= 0).all()
+    assert (outside.Glow(around, np.array([[0.0], [1.0], *[[0.0]] * 8])).light(rays) >= 0).all()
 
 
 def test_both_halves_of_the_rays_tell_of_the_openings(tmp_path):

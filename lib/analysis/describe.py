@@ -107,8 +107,8 @@ def _found(explained: Explained, result, name):
 
 def _glow(explained, E):
     """Radiosity of the glow from outside and its changes, see outside.Outside, of emittances (L, C) or their sigma."""
-    even, *gradient = (list(_three(E[explained.problem.lamps.index(name)])) for name in OUTSIDE)
-    return {"radiosity": even, "gradient": gradient}
+    even, *changes = (list(_three(E[explained.problem.lamps.index(name)])) for name in OUTSIDE)
+    return {"radiosity": even, "gradient": changes[:3], "curvature": changes[3:]}
 
 
 def _sigma_of_lobe(explained, lamp):

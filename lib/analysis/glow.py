@@ -24,8 +24,8 @@ from lib.light.factors_file import OUTSIDE, FormFactors
 
 NAME = "glow"
 UNEVEN = 0.4  # standard deviation of the change from the middle of the model to an end of it, a share of the glow
-CURVED = 0.3  # the same of what does not change evenly, by each product of two axes
-STEEP = 1.0  # of the change along an axis, which may not be even by so much
+CURVED = 0.3  # the same of what goes with the squares and products of the axes
+BEYOND = 0.2  # the same of what goes with their cubes, which is not fitted
 
 
 def is_dark(problem: Problem) -> bool:
@@ -34,7 +34,7 @@ def is_dark(problem: Problem) -> bool:
 
 
 def unsure(view: View, factors: FormFactors, found: Gathered) -> list:
-    """[(dD, dD_tile)] by which the light from outside is unsure, since what was left out does not change evenly."""
+    """[(dD, dD_tile)] by which the light from outside is unsure, since what was left out is no polynomial."""
     around, tiles = factors.outside, found.tiles
     if around is None:
         return []
@@ -42,15 +42,14 @@ def unsure(view: View, factors: FormFactors, found: Gathered) -> list:
     p, side = surfaces.backproject(surface, view.camera, np.repeat(tiles.facet, np.diff(tiles.start)), tiles.pixel)
     to_patches = form_factors.from_patches(surface, factors.mesh, outside.RAYS, seed=3)
     to_tiles = form_factors.from_points(surface, p, tiles.start, side[tiles.start[:-1]], tiles.rows.shot, seed=15)
-    there, seen = (outside.sums(surface, *way, around.curved) for way in (to_patches, to_tiles))
+    there, seen = (outside.sums(surface, *way, around.beyond) for way in (to_patches, to_tiles))
     D, D_tile = factors.lamp_factor[:, around.first], tiles.direct[:, around.first]
     mean, changes = seen.sum(axis=0) / max(D_tile.sum(), 1e-12), []
     for k in range(there.shape[1]):
-        for lamp, share in ((around.first, CURVED), (around.first + 1 + k % 3, STEEP)):
-            dD, dD_tile = np.zeros_like(factors.lamp_factor), np.zeros_like(tiles.direct)
-            dD[:, lamp] = share * (there[:, k] - mean[k] * D)
-            dD_tile[:, lamp] = share * (seen[:, k] - mean[k] * D_tile)
-            changes.append((dD, dD_tile))
+        dD, dD_tile = np.zeros_like(factors.lamp_factor), np.zeros_like(tiles.direct)
+        dD[:, around.first] = BEYOND * (there[:, k] - mean[k] * D)
+        dD_tile[:, around.first] = BEYOND * (seen[:, k] - mean[k] * D_tile)
+        changes.append((dD, dD_tile))
     return changes
 
 
@@ -100,5 +99,6 @@ def changing(found: Candidate) -> Candidate:
     emittance, spread = problem.emittance.copy(), np.full(E.shape, np.inf)
     for name in OUTSIDE[1:]:
         k = problem.lamps.index(name)
-        emittance[k], spread[k] = np.nan, UNEVEN * np.maximum(E[problem.lamps.index(OUTSIDE[0])], 1e-6)
+        share = UNEVEN if name in OUTSIDE[1:4] else CURVED
+        emittance[k], spread[k] = np.nan, share * np.maximum(E[problem.lamps.index(OUTSIDE[0])], 1e-6)
     return Candidate.of(replace(problem, emittance=emittance, spread_E=spread), found.taken, start=found.start)

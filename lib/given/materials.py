@@ -273,9 +273,10 @@ class Materials:
 
     @property
     def outside(self):
-        """(4, 3) the glow that comes in where the model is open, and its changes, see lib/light/outside.py."""
+        """(10, 3) the glow that comes in where the model is open, and its changes, see lib/light/outside.py."""
         values = next((cause.values for cause in self.explained if cause.cause == "glow"), {})
-        return np.vstack([values.get("radiosity") or np.zeros(3), values.get("gradient") or np.zeros((3, 3))])
+        parts = (("radiosity", 1), ("gradient", 3), ("curvature", 6))
+        return np.vstack([np.reshape(values.get(name) or np.zeros((n, 3)), (n, 3)) for name, n in parts])
 
     def texture_files(self, path):
         """{group: {facet: file}}, the files as seen from where materials.json at `path` lies."""

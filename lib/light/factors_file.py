@@ -16,8 +16,8 @@ from lib.light.form_factors import FormFactorRows
 from lib.light.lamps import LAMBERTIAN
 
 SHARE = 1 / 3  # of what the step to the next coarser cell would lose that is lost inside a cell
-# names among lamps of what lies around an open model, even and along three axes (lib/light/outside.py): no groups'
-OUTSIDE = ("", " x", " y", " z")
+# names among lamps of what lies around an open model, by powers of three axes (lib/light/outside.py): no groups'
+OUTSIDE = ("", " x", " y", " z", " xx", " yy", " zz", " xy", " yz", " zx")
 CONTRACTS = 1e-3  # a spectral radius may exceed the largest row sum by so much: single precision, and the search
 
 

@@ -1,8 +1,8 @@
 """What lies around an open model: black, or a glow where a wall or a window was left out.
 
-The glow comes in wherever rays leave the model. It is even, or changes evenly along three axes: one lamp, and three
-more whose emittances may be negative. Their factors at a place are sums over the place's rays that leave. Where no glow
-was found they stand among the lamps at an emittance of 0.
+The glow comes in wherever rays leave the model. It is even, or changes along three axes as a polynomial of the second
+degree: one lamp, and nine more whose emittances may be negative. Their factors at a place are sums over the place's
+rays that leave. Where no glow was found they stand among the lamps at an emittance of 0.
 """
 
 from __future__ import annotations
@@ -41,16 +41,17 @@ class Outside:
         return (q - (self.low + self.high) / 2) / ((self.high - self.low) / 2)
 
     def seen(self, rays):
-        """(n, 4) of each of its lamps, what rays (n, 6) that leave find at an emittance of 1."""
-        return np.column_stack([np.ones(len(rays)), self.at(rays) - self.middle])
-
-    def curved(self, rays):
-        """(n, 6) how far from the middle rays (n, 6) leave, by the products of two axes."""
+        """(n, 10) of each of its lamps, what rays (n, 6) that leave find at an emittance of 1."""
         x, y, z = (self.at(rays) - self.middle).T
-        return np.column_stack([x * x, y * y, z * z, x * y, y * z, z * x])
+        return np.column_stack([np.ones(len(rays)), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x])
+
+    def beyond(self, rays):
+        """(n, 9) how far from the middle rays (n, 6) leave, by products of three axes: what its lamps do not know."""
+        q = (self.at(rays) - self.middle).T
+        return np.column_stack([a * a * b for a in q for b in q])
 
     def factors(self, surface: Surface, rows: FormFactorRows, ray_start, make):
-        """(R, 4) of places. rows : of the places;  ray_start, make : of form_factors.from_patches, from_points"""
+        """(R, 10) of places. rows : of the places;  ray_start, make : of form_factors.from_patches, from_points"""
         return np.column_stack([openings(rows), sums(surface, ray_start, make, lambda rays: self.seen(rays)[:, 1:])])
 
 
@@ -117,7 +118,7 @@ def with_outside(factors: FormFactors, surface) -> FormFactors:
 
 
 def of_points(factors: FormFactors, surface: Surface, points, start, side, rows: FormFactorRows):
-    """(T, 4) factors to the outside of sets of points, or (T, 0) where it is not among the lamps.
+    """(T, 10) factors to the outside of sets of points, or (T, 0) where it is not among the lamps.
 
     points : (M, 3) local;  start : (T + 1,) of each set;  side : (T,);  rows : of the sets
     """
@@ -133,7 +134,7 @@ def without_outside(E, lamps):
 
 @dataclass(frozen=True, eq=False)
 class Glow:
-    """What rays find that leave an open model. E : (4, C) emittances of the outside's lamps"""
+    """What rays find that leave an open model. E : (10, C) emittances of the outside's lamps"""
 
     outside: Outside
     E: np.ndarray
