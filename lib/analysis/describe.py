@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lib.analysis import matrix
 from lib.analysis.climbing import SPECULAR, Climb, Place
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import MISFIT, Problem, Result, group_rmse
@@ -92,6 +93,12 @@ def _found(explained: Explained, result, name):
     if name == "lamp_lobe":
         lobes = explained.lobes.items()
         return [(lamp, plain(_lobe(lobe)), _sigma_of_lobe(explained, lamp)) for lamp, lobe in lobes]
+    if name == matrix.NAME:
+        M, sigma = _mixing(explained.problem, result), None
+        if result.cov_cause is not None:
+            own = explained.problem.cause.of(name)
+            sigma = {"matrix": matrix.spread(np.sqrt(np.diag(result.cov_cause))[own])}
+        return [(None, {"matrix": [list(row) for row in M]}, sigma)]
     if name == "glow":
         return [
             (None, _glow(explained, result.state.E), result.sigma_E is not None and _glow(explained, result.sigma_E))
@@ -216,16 +223,27 @@ def _transfer(problem, result, asked, rivals) -> FoundTransfer:
     transfer = result.state.transfer
     kind = asked if asked in OF_PICTURE else transfer.kind
     told = {"asked": asked if isinstance(asked, str) else None, "rivals": rivals or None}
+    if transfer.matrix:
+        kind = "curve"  # which alone has a matrix in the file
+        told["matrix"] = _mixing(problem, result)
     if kind == "gamma":
         return FoundTransfer(kind, float(transfer.gamma), sigma=result.sigma_gamma, **told)
     if kind != "curve":
         return FoundTransfer(kind, **told)
     I = np.linspace(0, 1, CURVE_SAMPLES)
-    linear = transfer.linear(I)
+    linear = transfer.bare.linear(I)
     linear[0], linear[-1] = 0, 1
     return FoundTransfer(
         kind, linear=tuple(linear.tolist()), display=tuple(I.tolist()), sigma=_curve_sigma(problem, result, I), **told
     )
+
+
+def _mixing(problem, result):
+    """(3, 3) M after the last step of the fit."""
+    M = np.array(result.state.transfer.matrix)
+    if problem.cause is not None and (own := problem.cause.of(matrix.NAME)).any():
+        M = matrix.stepped(M, result.state.cause[own])
+    return tuple(map(tuple, M.tolist()))
 
 
 def _curve_sigma(problem, result, I):
@@ -233,7 +251,7 @@ def _curve_sigma(problem, result, I):
     if result.cov_transfer is None:
         return None
     low, high = np.quantile(problem.photograph.display(), (0.005, 0.995))
-    by = Metric(result.state.transfer).by_parameters(result.state.transfer.linear(I))
+    by = Metric(result.state.transfer).by_parameters(result.state.transfer.bare.linear(I))
     sigma = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", by, result.cov_transfer, by), 0))
     return tuple(float(s) if low <= at <= high else None for s, at in zip(sigma, I, strict=True))
 

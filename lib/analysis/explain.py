@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lib.analysis import glow, lamp_lobe, responses, vignetting
+from lib.analysis import glow, lamp_lobe, matrix, responses, vignetting
 from lib.analysis.agreement import fits, in_doubt, out_of_range
 from lib.analysis.candidates import NATS, Candidate, enough
 from lib.analysis.equations import Unknowns
@@ -228,6 +228,8 @@ def _climbed(best: Candidate, leave: Leave):
         if "vignetting" in wanted:
             shadow = _settled(_vignetted(best, leave), best, leave)
             candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
+        if matrix.NAME in wanted:
+            candidates[matrix.NAME] = _settled(matrix.fitted(best), best, leave)
         if glow.NAME in wanted:
             candidates[glow.NAME] = _settled(_in_glow(best), best, leave)
         better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}
@@ -286,5 +288,7 @@ def _promising(found: Candidate, leave: Leave, tried) -> dict:
         promises["vignetting"] = vignetting.promise(found, leave.lens, leave.pixel)
     if glow.NAME not in tried and _may_glow(found, leave):
         promises[glow.NAME] = glow.promise(found)
+    if leave.response and matrix.NAME not in tried and matrix.may(found):
+        promises[matrix.NAME] = matrix.promise(found)
     least = enough(found.problem)
     return {cause: nats for cause, nats in promises.items() if nats >= least}

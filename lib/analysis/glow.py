@@ -15,7 +15,6 @@ from lib.analysis.equations import Unknowns
 from lib.analysis.evidence import promised
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import Problem, initialise
-from lib.given.transfer import Transfer
 from lib.given.view import View
 from lib.light import form_factors, outside
 from lib.light import surface as surfaces
@@ -74,7 +73,7 @@ def fitted_from(found: Candidate, gammas) -> Candidate:
     """The same from where one of these gammas suits best: a gamma that was fitted in the dark may lie far away."""
     told = []
     for gamma in gammas:
-        transfer = Transfer("gamma", gamma)
+        transfer = replace(found.problem.transfer, gamma=gamma)
         start = Unknowns(*initialise(found.problem, transfer), transfer)
         told.append(Candidate.of(_free(replace(found.problem, transfer=transfer, fit_transfer=False)), start=start))
     best = max(told, key=lambda c: c.evidence.nats)

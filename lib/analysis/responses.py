@@ -37,10 +37,11 @@ def promise(found: Candidate) -> float:
 def fitted(found: Candidate) -> list[Candidate]:
     """The fit with a free curve, then those under simpler functions that the curve is like."""
     problem, taken = found.problem, found.taken
-    curve = Transfer("gamma", USUAL_GAMMA).as_curve()
+    mixed = {"matrix": problem.transfer.matrix}
+    curve = replace(Transfer("gamma", USUAL_GAMMA).as_curve(), **mixed)
     free = Candidate.of(replace(problem, transfer=curve, fit_transfer=True), taken | {"curve": {}})
     seen = np.quantile(problem.photograph.display(), (0.01, 0.99))
-    function = free.result.state.transfer
+    function = free.result.state.transfer.bare
     light = function.linear(np.linspace(*seen, 50))
     shown = function.display(light)
     result = [free]
@@ -48,7 +49,8 @@ def fitted(found: Candidate) -> list[Candidate]:
         has_parameters = len(simple.parameters) > 0
         own = simple.kind == problem.transfer.kind and problem.fit_transfer == has_parameters
         if not own and np.abs(_likest(simple, light, shown) - shown).max() < ALIKE:
-            result.append(Candidate.of(replace(problem, transfer=simple, fit_transfer=has_parameters), taken))
+            told = replace(problem, transfer=replace(simple, **mixed), fit_transfer=has_parameters)
+            result.append(Candidate.of(told, taken))
     return result
 
 

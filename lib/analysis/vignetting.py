@@ -25,6 +25,7 @@ SETTLED = 2e-3  # change of V at the corner that ends them
 
 def divided(pixels, gain, transfer: Transfer) -> np.ndarray:
     """Display values (M, C) as they would be without a gain (M,) of the lens; above white they go on."""
+    transfer = transfer.bare  # colours stay mixed
     light = transfer.linear(pixels) / gain[:, None]
     return light if transfer.kind == "linear" else Metric(transfer).value(light)
 
@@ -72,7 +73,10 @@ def fitted_from(found: Candidate, gammas, lens: Lens, pixel) -> Candidate:
 
     A gamma that was fitted without the shadow may lie far from the truth, and a shadow that suits it, too.
     """
-    told = [replace(found.problem, transfer=Transfer("gamma", gamma), fit_transfer=False) for gamma in gammas]
+    told = [
+        replace(found.problem, transfer=replace(found.problem.transfer, gamma=gamma), fit_transfer=False)
+        for gamma in gammas
+    ]
     bare = [Candidate.of(p, found.taken) for p in told]
     bare = sorted(bare, key=lambda c: c.evidence.nats + promise(c, lens, pixel))[-LIKELY:]
     best = max((fitted(c, lens, pixel) for c in bare), key=lambda c: c.evidence.nats)

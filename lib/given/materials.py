@@ -40,6 +40,7 @@ from lib.given.kinds import KINDS, LOBES, MIRRORS
 from lib.given.transfer import Transfer
 
 STATUSES = ("converged", "not converged", "does not fit", "nothing seen")  # of a fit; truth says "truth"
+WORST_CONDITION = 100.0  # of a colour matrix: cameras' have 2 to 5
 SCALES = ("lamps", "reference", "interreflection", "convention")
 
 
@@ -201,7 +202,7 @@ class FoundTransfer:
     def function(self) -> Transfer:
         """What takes light to display values."""
         if self.kind == "curve":
-            return Transfer("curve", samples=(self.linear, self.display))
+            return Transfer("curve", samples=(self.linear, self.display), matrix=self.matrix or ())
         return Transfer(self.kind, self.gamma or 1.0)
 
 
@@ -296,15 +297,15 @@ def read(path) -> Materials:
 def read_curve(path) -> Transfer:
     """A measured response: what stands under `transfer` in materials.json, of the kind curve, in a file of its own.
 
-    BadInput: it is no curve, or has a colour matrix, which is not built yet.
+    BadInput: it is no curve, or its colour matrix cannot be undone.
     """
     found = record.read(path, FoundTransfer)
     if found.kind != "curve" or found.linear is None or found.display is None:
         raise BadInput(f"{path}: kind: {found.kind!r} with linear and display is not a curve")
     if len(found.linear) != len(found.display):
         raise BadInput(f"{path}: display: {len(found.display)} values are not as many as linear's {len(found.linear)}")
-    if found.matrix is not None:
-        raise BadInput(f"{path}: matrix: {found.matrix} is not built yet: only null")
+    if found.matrix is not None and not np.linalg.cond(found.matrix) < WORST_CONDITION:
+        raise BadInput(f"{path}: matrix: {found.matrix} cannot be undone")
     return found.function
 
 

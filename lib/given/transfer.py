@@ -69,15 +69,27 @@ class Transfer:
 
     gamma : of the kind gamma;  shape : of the kind curve, (K,) as in lib/given/tone_curve.py
     samples : of a curve without a shape, linear and display values that rise from 0 to 1
+    matrix : (3, 3) rows, camera-linear = matrix x scene, before the function; (): colours are not mixed
     """
 
     kind: str
     gamma: float = 1.0
     shape: tuple = ()
     samples: tuple = ()
+    matrix: tuple = ()
+
+    @property
+    def bare(self) -> Transfer:
+        """The same without the matrix: a function of one channel."""
+        return replace(self, matrix=())
+
+    def unmixed(self, light) -> np.ndarray:
+        """The scene's light (..., C) of camera-linear values."""
+        return light @ np.linalg.inv(self.matrix).T if self.matrix else light
 
     def display(self, B) -> np.ndarray:
-        """Linear -> display, same shape. A linear image is not clipped: above 1 is light."""
+        """Linear -> display, same shape (..., C with a matrix). A linear image is not clipped: above 1 is light."""
+        B = np.asarray(B, float) @ np.transpose(self.matrix) if self.matrix else B
         if self.kind == "linear":
             return np.asarray(B, float)
         B = np.clip(B, 0, 1)
@@ -86,8 +98,8 @@ class Transfer:
     def linear(self, I) -> np.ndarray:
         """Display -> linear, the inverse of `display` on [0, 1]."""
         if self.kind == "linear":
-            return np.asarray(I, float)
-        return self.curve.linear(I) if self.curve else np.asarray(I, float) ** self.gamma
+            return self.unmixed(np.asarray(I, float))
+        return self.unmixed(self.curve.linear(I) if self.curve else np.asarray(I, float) ** self.gamma)
 
     @property
     def curve(self) -> Curve | None:
@@ -119,11 +131,11 @@ class Transfer:
         return (np.log(SLOPE_RANGE[0]), np.log(SLOPE_RANGE[1])) if self.kind == "curve" else GAMMA_RANGE
 
     def linear_by_parameters(self, I) -> np.ndarray:
-        """d linear / d parameters at display values I, (..., P)."""
+        """d linear / d parameters at display values I, (..., P), before colours are unmixed."""
         if self.kind == "curve" and self.shape:
             return tone_curve.linear_by_c(I, self.shape)
         if self.kind == "gamma":
-            return (self.linear(I) * np.log(np.maximum(I, 1e-30)))[..., None]
+            return (self.bare.linear(I) * np.log(np.maximum(I, 1e-30)))[..., None]
         return np.zeros((*np.shape(I), 0))
 
     def as_curve(self) -> Transfer:
@@ -132,8 +144,9 @@ class Transfer:
             return self
         knots = np.array(tone_curve.KNOTS)
         step = 0.01 if self.samples else 1e-4  # samples have corners between them
-        slope = np.log(self.linear(knots) / self.linear(knots * (1 - step))) / -np.log1p(-step)
-        return Transfer("curve", shape=tuple(map(float, np.log(slope))))
+        linear = self.bare.linear
+        slope = np.log(linear(knots) / linear(knots * (1 - step))) / -np.log1p(-step)
+        return Transfer("curve", shape=tuple(map(float, np.log(slope))), matrix=self.matrix)
 
 
 @dataclass(frozen=True)

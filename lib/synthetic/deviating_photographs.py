@@ -10,6 +10,7 @@ import numpy as np
 from lib.given.transfer import srgb_from_linear
 from lib.synthetic.given_scene import Given
 
+MIXED = (-0.15, 0.2)  # beside the diagonal
 CORNER_DEG = 37.0
 DARK, BRIGHT = 0.2, 2.5
 FULL_WELL, READ_NOISE = 6000.0, 0.0015  # electrons at white; of white
@@ -63,6 +64,14 @@ def tone_curve(random) -> tuple:
 
 
 # ---- light ----
+
+
+def colours(given, random):
+    """A camera that mixes colours: a matrix whose rows sum to 1 before the transfer function."""
+    M = random.uniform(*MIXED, (3, 3))
+    np.fill_diagonal(M, 0)
+    M += np.diag(1 - M.sum(axis=1))
+    return _shown(given, _display(given, given.B @ M.T)), {"matrix": M.tolist()}
 
 
 def vignetting(given, random):

@@ -22,6 +22,7 @@ KINDS = {
     "lamp": geometry.lamp,
     "open": geometry.open_objects,
     "vignetting": photographs.vignetting,
+    "colours": photographs.colours,
     "srgb": photographs.srgb,
     "tone": photographs.tone,
     "exposure_dark": photographs.exposure_dark,

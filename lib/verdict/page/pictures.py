@@ -131,7 +131,7 @@ def diverging(values, half):
 def display_function(transfer: FoundTransfer, linear_photograph=False):
     """T as a function of arrays; gamma 2.2 where no one gamma is found."""
     if transfer.kind in (*CURVES, "curve"):
-        return transfer.function.display
+        return transfer.function.bare.display
     if transfer.kind == "linear" and not linear_photograph:
         return lambda B: np.clip(B, 0, 1)
     found = transfer.kind == "gamma" and finite(transfer.gamma) and transfer.gamma > 0
