@@ -11,6 +11,7 @@ from lib.analysis.candidates import enough
 from lib.analysis.evidence import evidence
 from lib.analysis.explain import Leave
 from lib.analysis.gauss_newton import gauss_newton
+from lib.analysis.problem import TilePixels
 from lib.core.stage import BadInput
 from lib.given import materials, tone_curve
 from lib.given.materials import FoundTransfer, Materials
@@ -70,6 +71,41 @@ def test_derivatives_of_a_curve():
         np.testing.assert_allclose(
             curve.linear_by_parameters(B)[:, k], (there.linear(B) - back.linear(B)) / (2 * h), atol=2e-3
         )
+
+
+MIXING = ((0.9, 0.2, -0.1), (0.1, 0.85, 0.05), (-0.05, 0.25, 0.8))
+
+
+@pytest.mark.parametrize("function", [Transfer("gamma", 1.8), Transfer("srgb"), wavy()], ids=lambda t: t.kind)
+def test_mixed_colours_are_unmixed(function):
+    light = np.random.default_rng(1).uniform(0.05, 0.7, (40, 3))
+    mixing = replace(function, matrix=MIXING)
+    np.testing.assert_allclose(mixing.display(light), function.display(light @ np.transpose(MIXING)), atol=1e-12)
+    np.testing.assert_allclose(mixing.linear(mixing.display(light)), light, atol=2e-3)
+    assert mixing.bare == function and mixing.moved(mixing.parameters) == mixing
+    tiles = TilePixels(mixing.display(light), np.arange(0, 41, 4))
+    seen, slope = tiles.linear(mixing)
+    mean = light.reshape(10, 4, 3).mean(axis=1)
+    np.testing.assert_allclose(seen, mean, atol=2e-3)
+    h = 1e-5
+    for k, step in enumerate(h * np.eye(len(mixing.parameters))):
+        there, back = (tiles.linear(mixing.moved(mixing.parameters + sign * step))[0] for sign in (1, -1))
+        np.testing.assert_allclose(slope[:, :, k], (there - back) / (2 * h), atol=1e-3)
+
+
+def test_a_camera_that_mixes_colours_is_found_and_taken():
+    problem, rho, _ = made(COLOURS, gamma=2.0, noise=0.01)
+    camera = replace(problem.transfer, matrix=MIXING)
+    mixed = replace(problem, pixels=camera.display(problem.transfer.linear(problem.pixels)))
+    found = explain.explain(replace(mixed, transfer=Transfer("gamma", 2.0)), Leave(), max_iterations=40)
+    assert [t.cause for t in found.taken] == ["matrix"]
+    M = np.array(found.result.state.transfer.matrix)
+    np.testing.assert_allclose(M, MIXING, atol=0.05)
+    np.testing.assert_allclose(M.sum(axis=1), 1, atol=1e-9)
+    off = np.abs(found.result.state.rho - rho)[1:]
+    assert off.max() < 0.02 and (off < 4 * found.result.sigma_rho[1:] + 1e-3).all()
+    unmixed = explain.explain(problem, Leave(), max_iterations=40)
+    assert unmixed.taken == []
 
 
 def photographed(shown, noise=0.01, seed=1, **more):
@@ -134,6 +170,13 @@ def test_a_measured_response_is_read_from_its_file(tmp_path):
     np.testing.assert_allclose(chosen.result.state.rho[:2], rho[:2], atol=0.01)
 
 
+def test_a_measured_response_may_mix_colours(tmp_path):
+    function = materials.read_curve(written(tmp_path, matrix=MIXING))
+    light = np.random.default_rng(2).uniform(0.05, 0.7, (20, 3))
+    np.testing.assert_allclose(function.display(light), film(light @ np.transpose(MIXING)), atol=2e-3)
+    np.testing.assert_allclose(function.linear(function.display(light)), light, atol=2e-3)
+
+
 def test_the_rival_of_a_measured_response_that_is_another_cameras(tmp_path):
     problem, _ = photographed(sigmoid)
     problem = replace(problem, transfer=materials.read_curve(written(tmp_path)), fit_transfer=False)
@@ -146,7 +189,7 @@ def test_the_rival_of_a_measured_response_that_is_another_cameras(tmp_path):
         ({"kind": "gamma", "gamma": 2.2}, "kind: 'gamma'"),
         ({"display": [0, 1]}, "display = [0, 1]"),
         ({"display": list(np.linspace(0, 1, 100))}, "display: 100 values"),
-        ({"matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "matrix: "),
+        ({"matrix": [[1, 0, 0], [1, 0, 0], [0, 0, 1]]}, "matrix: "),
     ],
 )
 def test_a_file_that_is_no_curve_is_refused(tmp_path, more, said):
