@@ -15,7 +15,18 @@ from lib.synthetic.random_rooms import random_room
 from lib.synthetic.sight import first_polygon
 
 PHOTOGRAPHIC = {
-    *("vignetting", "colours", "srgb", "tone", "exposure_dark", "exposure_bright", "jpeg", "noise_3", "noise_10", "bayer"),
+    *(
+        "vignetting",
+        "colours",
+        "srgb",
+        "tone",
+        "exposure_dark",
+        "exposure_bright",
+        "jpeg",
+        "noise_3",
+        "noise_10",
+        "bayer",
+    ),
     "12in16",
 }
 MODEL = {"objects", "lamp", "open", "open_room", "missing_object", "usemtl", "y_up", "millimetres", "flipped_lamp"}

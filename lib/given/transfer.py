@@ -83,13 +83,17 @@ class Transfer:
         """The same without the matrix: a function of one channel."""
         return replace(self, matrix=())
 
+    def mixed(self, light) -> np.ndarray:
+        """Camera-linear values of the scene's light (..., C)."""
+        return np.asarray(light, float) @ np.transpose(self.matrix) if self.matrix else light
+
     def unmixed(self, light) -> np.ndarray:
         """The scene's light (..., C) of camera-linear values."""
         return light @ np.linalg.inv(self.matrix).T if self.matrix else light
 
     def display(self, B) -> np.ndarray:
         """Linear -> display, same shape (..., C with a matrix). A linear image is not clipped: above 1 is light."""
-        B = np.asarray(B, float) @ np.transpose(self.matrix) if self.matrix else B
+        B = self.mixed(B)
         if self.kind == "linear":
             return np.asarray(B, float)
         B = np.clip(B, 0, 1)

@@ -117,6 +117,7 @@ def transfer_models(B, photograph, group, pure, transfer: Transfer, fitted):
     multiplied by the factor (per channel) that suits that transfer best: its reflectances fitted again, at fixed light.
     For the candidates that look at the photograph that factor is the one for `linear`, as the paper has it.
     """
+    B, transfer = transfer.mixed(B), transfer.bare
     own = _under(transfer.kind)
     best = transfer.gamma if transfer.kind == "gamma" else _best_gamma(B, photograph, fitted)
     samples = _samples(B, photograph, group, fitted)

@@ -64,11 +64,12 @@ def phong_picture(subject: Subject, picture: Picture):
     seen, pieces = picture.pixels, picture.fragments
     lit = phong(surface, emitters, seen.p, seen.side, look.E)
     use = np.flatnonzero(subject.counted[seen.y, seen.x])
+    one_channel = replace(subject, transfer=subject.transfer.bare).show  # ambient and power are its own
     ambient, power = ambient_and_power(
         look.rho[surface.group[seen.facet[use]]],
         lit[use],
         subject.wanted[seen.y[use], seen.x[use]],
-        subject.show if subject.simple else lambda B: np.clip(B, 0, 1),
+        one_channel if subject.simple else lambda B: np.clip(B, 0, 1),
     )
 
     def shown(places, light):

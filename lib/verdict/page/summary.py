@@ -124,6 +124,8 @@ def _taken(cause):
     elif "aim" in values:
         aim = ", ".join(f"{v:.2f}" for v in values["aim"])
         said = f"lamp {cause.subject!r} throws its light in a lobe, cos^{values['exponent']:.2f} about ({aim})"
+    elif "matrix" in values:
+        said = "the camera mixes colours before its response"
     elif "radiosity" in values:
         glow = ", ".join(f"{v:.2g}" for v in values["radiosity"])
         said = f"the model is open, and light from outside comes in (radiosity {glow})"
