@@ -220,7 +220,8 @@ def _climbed(best: Candidate, leave: Leave):
     while wanted := _promising(best, leave, tried):
         if max(wanted, key=wanted.get) == glow.NAME:
             wanted = {glow.NAME}  # in the dark of an open model the others only bend to it
-        tried |= set(wanted)
+        wanted = set(wanted) - ({matrix.NAME} if "response" in wanted else set())  # colours last: they bend to it
+        tried |= wanted
         candidates = {}
         if "response" in wanted:
             functions = (best, *responses.fitted(best))
