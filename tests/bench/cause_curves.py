@@ -6,6 +6,7 @@ lamp_place  the lamp of `office` 12 cm beside: reflectances, by the rounds of mo
 glow        `office` without the wall behind the camera: reflectances, by how the glow may change, and by rays
 lamp_lobe   `lobed-8`, whose scene.yaml tells of no lobe: reflectances, by the rounds of fitting it
 vignetting  cos^4, 37 degrees in the corner, by the number of radial terms: reflectances
+matrix      a camera that mixes colours, by the rounds of fitting: reflectances
 response    a film curve, by the function that is fitted: reflectances
 noise       3 and 10 % of displayed values, tiles as means and as medians: reflectances
 
@@ -22,6 +23,7 @@ from tests.bench.fit_curves import ROOT, SETTINGS, Case
 HEAD = ("cause", "scene", "setting", "cpu_s", "error", "unit")
 DRAWS = 6
 MOVED = ("carton", "bin", "cabinet")  # of `office`, on its floor
+MIXING = ((0.9, 0.2, -0.1), (0.1, 0.85, 0.05), (-0.05, 0.25, 0.8))
 WIDTHS = (160, 320, 640)  # px, at which edges are placed
 
 
@@ -35,7 +37,7 @@ def measure(log):
     for case in cases:
         light = case.photograph.values**case.gamma
         case.problem(*SETTINGS[0])  # warm-up
-        for of_cause in (vignetting, response, noise):
+        for of_cause in (vignetting, matrix, response, noise):
             for cause, setting, cpu_s, error in of_cause(case, light):
                 rows.append((cause, case.name, setting, cpu_s, error, "1"))
     for row in rows:
@@ -183,6 +185,23 @@ def vignetting(case, light):
         found = own.fitted(found, lens, tiles.pixel) if terms else found
         yield "vignetting", f"{terms} terms", time.process_time() - began, case.errors(found.result.state)[0]
     own.TERMS = usual
+
+
+def matrix(case, light):
+    """By none to six rounds."""
+    from lib.analysis import matrix as own
+    from lib.analysis.candidates import Candidate
+
+    mixed = np.clip(light @ np.transpose(MIXING), 0, 1) ** (1 / case.gamma)
+    problem, _ = _problem(case, mixed)
+    usual, began = own.ROUNDS, time.process_time()
+    first = Candidate.of(problem)
+    yield "matrix", "none", time.process_time() - began, case.errors(first.result.state)[0]
+    for own.ROUNDS in (1, 2, usual):
+        began = time.process_time()
+        found = own.fitted(first)
+        yield "matrix", f"{own.ROUNDS} rounds", time.process_time() - began, case.errors(found.result.state)[0]
+    own.ROUNDS = usual
 
 
 def response(case, light):
