@@ -31,7 +31,7 @@ PHOTOGRAPHIC = {
 }
 MODEL = {"objects", "lamp", "open", "open_room", "missing_object", "usemtl", "y_up", "millimetres", "flipped_lamp"}
 CAMERA = {"pose", "half_pixel", "turned"}
-FACTS = {"neutral_lamp", "exposure_dark", "exposure_bright"}
+FACTS = {"neutral_lamp", "lamp_power", "exposure_dark", "exposure_bright"}
 OBJ, MODEL_FILES = "model.obj", ("model.obj", "model.mtl")
 
 

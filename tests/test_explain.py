@@ -115,3 +115,29 @@ def test_no_wrong_minimum_of_gamma():
         found = explain.explain(problem, Leave(causes=("curve",)), gamma=2.2, max_iterations=40).result
         assert found.state.transfer.kind == "gamma"
         assert abs(found.state.gamma - gamma) < max(0.02 * gamma, 4 * found.sigma_gamma), (seed, gamma)
+
+
+def through_a_curve(problem, shape):
+    """The photograph of a camera with another response."""
+    return replace(problem, pixels=shape(problem.transfer.linear(problem.pixels)))
+
+
+def test_a_told_lamp_that_is_wrong_does_not_hide_behind_a_curve():
+    problem, _ = photographed()
+    pixel = scattered(problem)
+    leave = Leave(lens=LENS, pixel=pixel)
+    told = replace(darkened(problem, pixel), emittance=problem.emittance * 1.3)
+    found = explain.explain(told, leave, max_iterations=40)
+    why = explain.lamps_told_wrong(found, leave)
+    assert [(w.cause, w.subject) for w in why] == [("lamp_power", "lamp")]
+    assert why[0].text == "lamp 'lamp': 0.769 times its emittance explains the photograph without curve"
+
+
+def test_a_lamp_as_told_is_not_doubted_beside_a_curve():
+    problem, _ = photographed()
+    pixel = scattered(problem)
+    leave = Leave(lens=LENS, pixel=pixel)
+    film = lambda linear: np.clip(linear, 0, 1) ** 0.45 * (1.25 - 0.25 * np.clip(linear, 0, 1))
+    for deviating in (through_a_curve(problem, film), darkened(problem, pixel)):
+        found = explain.explain(deviating, leave, max_iterations=40)
+        assert found.taken and explain.lamps_told_wrong(found, leave) == []

@@ -15,7 +15,7 @@ from lib.analysis.candidates import Candidate, enough
 from lib.analysis.equations import Equations, Layout, Unknowns
 from lib.analysis.evidence import evidence, held_out, likelihood, noise_variance
 from lib.analysis.gather import Gathered
-from lib.analysis.problem import Problem, Result, scale
+from lib.analysis.problem import Problem, Result
 from lib.analysis.transport import TileLight
 from lib.given.materials import Why
 from lib.given.transfer_kinds import OF_PICTURE
@@ -108,28 +108,46 @@ def lamps(problem, result) -> list[Why]:
 
 def lamps_told(problem, result) -> tuple[list[Why], bool]:
     """The same, and whether other emittances are all that is wrong."""
-    own = problem.own_lamps
-    if np.isnan(problem.emittance[own]).any() or scale(problem) != "lamps":
+    if not are_told(problem):
         return [], False
-    state = result.state
-    freed = replace(problem, emittance=np.where(own[:, None], np.nan, problem.emittance))
+    state, nats = result.state, evidence(problem, result.at).nats
     start = Unknowns(state.rho, state.E, state.transfer)
-    own = evidence(problem, result.at).nats
-    if _one_step(freed, start) - own < enough(problem):
+    if _one_step(freed(problem), start) - nats < enough(problem):
         return [], False
-    free = Candidate.of(freed, start=start)
-    gain, ratio = free.evidence.nats - own, free.result.state.E / np.maximum(problem.emittance, 1e-12)
+    free = Candidate.of(freed(problem), start=start)
+    gain = free.evidence.nats - nats
     if gain < enough(problem):
         return [], False
-    off = [k for k in np.flatnonzero(own) if np.abs(ratio[k] - 1).max() > OFF]
-    why = [_lamp(problem.lamps[k], ratio[k], gain) for k in off]
-    return why, free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
+    return lamps_of(problem, free, gain), free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
 
 
-def _lamp(name, ratio, gain):
+def lamps_of(problem, freed: Candidate, nats, spared=()) -> list[Why]:
+    """Emittances that are told and differ from those that were found where they were free.
+
+    spared : causes that these make needless
+    """
+    ratio = freed.result.state.E / np.maximum(problem.emittance, 1e-12)
+    off = [k for k in np.flatnonzero(problem.own_lamps) if np.abs(ratio[k] - 1).max() > OFF]
+    return [_lamp(problem.lamps[k], ratio[k], nats, spared) for k in off]
+
+
+def are_told(problem) -> bool:
+    """The emittances of all lamps are."""
+    return bool(problem.own_lamps.any()) and not np.isnan(problem.emittance[problem.own_lamps]).any()
+
+
+def freed(problem) -> Problem:
+    """With the emittances of all lamps unknown."""
+    return replace(problem, emittance=np.where(problem.own_lamps[:, None], np.nan, problem.emittance))
+
+
+def _lamp(name, ratio, gain, spared):
     coloured = np.ptp(ratio) > OFF * ratio.mean()
     said = ", ".join(f"{v:.3g}" for v in ratio) if coloured else f"{ratio.mean():.3g}"
-    text = f"lamp {name!r}: {said} times its emittance fits the photograph better by {gain:.0f} nats"
+    better = f"fits the photograph better by {gain:.0f} nats"
+    if spared:
+        better = f"explains the photograph without {' and '.join(spared)}"
+    text = f"lamp {name!r}: {said} times its emittance {better}"
     return Why("lamp_colour" if coloured else "lamp_power", name, text, float(gain))
 
 

@@ -80,10 +80,9 @@ def _causes(explained: Explained, result) -> list[Cause]:
     for taken in sorted(explained.taken, key=lambda t: -t.nats):
         if taken.cause == "response" and result.state.transfer.kind != "curve":
             continue  # sRGB in place of gamma is no deviation
-        name = "curve" if taken.cause == "response" else taken.cause
         rivals = [Rival(cause, float(nats)) for cause, nats in taken.rivals.items()]
-        for subject, values, sigma in _found(explained, result, name):
-            causes.append(Cause(name, subject, values, sigma, float(taken.nats), rivals))
+        for subject, values, sigma in _found(explained, result, taken.name):
+            causes.append(Cause(taken.name, subject, values, sigma, float(taken.nats), rivals))
     return causes
 
 
@@ -239,10 +238,10 @@ def _transfer(problem, result, asked, rivals) -> FoundTransfer:
 
 
 def _mixing(problem, result):
-    """(3, 3) M after the last step of the fit."""
-    M = np.array(result.state.transfer.matrix)
-    if problem.cause is not None and (own := problem.cause.of(matrix.NAME)).any():
-        M = matrix.stepped(M, result.state.cause[own])
+    """(3, 3) M after the last step of the fit, where the result has one: the ladder holds all causes fast."""
+    M, step = np.array(result.state.transfer.matrix), result.state.cause
+    if step is not None and (own := problem.cause.of(matrix.NAME)).any():
+        M = matrix.stepped(M, step[own])
     return tuple(map(tuple, M.tolist()))
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lib.analysis import glow, lamp_lobe, matrix, responses, vignetting
-from lib.analysis.agreement import fits, in_doubt, out_of_range
+from lib.analysis.agreement import are_told, fits, freed, in_doubt, lamps_of, out_of_range
 from lib.analysis.candidates import NATS, Candidate, enough
 from lib.analysis.equations import Unknowns
 from lib.analysis.facts import USUAL_GAMMA
@@ -22,6 +22,7 @@ from lib.analysis.lamp_lobe import LampLobes
 from lib.analysis.problem import Problem, Result
 from lib.given.causes import BUILT
 from lib.given.falloff import Lens
+from lib.given.materials import Why
 from lib.given.view import View
 
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
@@ -112,6 +113,11 @@ class Taken:
     nats: float
     rivals: dict
 
+    @property
+    def name(self):
+        """As materials.json has it."""
+        return "curve" if self.cause == "response" else self.cause
+
 
 @dataclass(frozen=True, eq=False)
 class Leave:
@@ -180,6 +186,20 @@ def with_lobes(found: Explained, leave: Leave, **options) -> Explained:
     return found
 
 
+def lamps_told_wrong(found: Explained, leave: Leave) -> list[Why]:
+    """Emittances that are told, where others take the place of causes, or explain more beside as many."""
+    told = found.given.problem
+    if not found.taken or not are_told(told):
+        return []
+    free, taken, _ = _climbed(Candidate.of(freed(told), start=found.given.start), leave)
+    gain, least = free.evidence.nats - found.best.evidence.nats, enough(told)
+    seen = replace(told, emittance=found.best.problem.transfer.mixed(told.emittance))  # as the camera has them
+    if gain >= least:
+        return lamps_of(seen, free, gain)
+    spared = [t.name for t in found.taken if t.cause not in {u.cause for u in taken}]
+    return lamps_of(seen, free, gain, spared) if len(taken) < len(found.taken) and gain >= -least else []
+
+
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:
     """With the causes that the photograph supports beside those of `begun`, [Taken]."""
     best, more, functions = _climbed(begun, leave)
@@ -230,7 +250,8 @@ def _climbed(best: Candidate, leave: Leave):
             shadow = _settled(_vignetted(best, leave), best, leave)
             candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
         if matrix.NAME in wanted:
-            candidates[matrix.NAME] = _settled(matrix.fitted(best), best, leave)
+            mixed = _settled(matrix.fitted(best), best, leave)
+            candidates |= {matrix.NAME: mixed} if matrix.is_physical(mixed) else {}
         if glow.NAME in wanted:
             candidates[glow.NAME] = _settled(_in_glow(best), best, leave)
         better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}

@@ -136,7 +136,7 @@ def solve(task: Task, report: Report) -> Answer:
     problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
     leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
     explained = explain.without_lobes(problem, leave, gamma=task.gamma, **options)
-    if task.can_look and (wrong := _told_wrong(task, explained)):
+    if task.can_look and (wrong := _told_wrong(task, explained, leave)):
         answer = _answer(explained.kept(**options))
         answer.why = wrong
         return answer
@@ -176,8 +176,10 @@ def _suffices(task, explained, in_lobes, lobed) -> bool:
     return left[0] <= LEFT * left[1]
 
 
-def _told_wrong(task, explained) -> list:
+def _told_wrong(task, explained, leave) -> list:
     """[Why] of lamps that scene.yaml or the model has wrong, where that is all that is wrong."""
+    if why := explain.lamps_told_wrong(explained, leave):
+        return why
     if agreement.fits(explained.result):
         return []
     if task.lobes:

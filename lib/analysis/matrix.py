@@ -17,6 +17,7 @@ from lib.analysis.problem import CauseTerms
 
 NAME = "matrix"
 SPREAD = 0.3  # standard deviation of each number beside the diagonal before anything is seen
+MOST = 1.2  # of a number off the unit matrix, either way: sRGB of the widest sensors has up to .9
 FREE = 6
 ROUNDS, SETTLED = 6, 2e-3
 OFF = [(c, j) for c in range(3) for j in range(3) if j != c]
@@ -41,6 +42,13 @@ def promise(found: Candidate) -> float:
     cause = _cause(found.result.at)
     prior = np.diag(1 / cause.spread**2)
     return promised(found.problem, found.result.at, cause.columns, prior=prior).nats - found.evidence.nats
+
+
+def is_physical(found: Candidate) -> bool:
+    """A camera and its screen mix colours no more than this; what mixes more is something else that bent to it."""
+    own = found.problem.cause.of(NAME)
+    M = stepped(np.array(found.result.state.transfer.matrix), found.result.state.cause[own])
+    return all(np.abs(A - np.eye(3)).max() <= MOST for A in (M, np.linalg.inv(M)))
 
 
 def stepped(mixing, step):

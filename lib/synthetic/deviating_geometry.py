@@ -190,7 +190,16 @@ def flipped_lamp(given, random):
 
 def neutral_lamp(given, random):
     """The lamps' colours guessed grey, with the same mean."""
-    lamps = {group: [round(float(np.mean(E)), 4)] * 3 for group, E in given.lamps.items()}
+    return _told_lamps(given, {group: [round(float(np.mean(E)), 4)] * 3 for group, E in given.lamps.items()})
+
+
+def lamp_power(given, random):
+    """The lamps told a quarter to a half brighter than they are, or darker."""
+    factor = float(random.uniform(1.25, 1.5) ** random.choice((-1, 1)))
+    return _told_lamps(given, {group: [round(factor * e, 4) for e in E] for group, E in given.lamps.items()})
+
+
+def _told_lamps(given, lamps):
     return replace(given, facts={**given.facts, "lamps": lamps}), {"lamps": lamps, "were": given.lamps}
 
 

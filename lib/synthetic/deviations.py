@@ -34,6 +34,7 @@ KINDS = {
     "12in16": photographs.twelve_in_sixteen,
     "open_room": geometry.open_room,
     "neutral_lamp": geometry.neutral_lamp,
+    "lamp_power": geometry.lamp_power,
     "half_pixel": geometry.half_pixel,
     "missing_object": geometry.missing_object,
     "usemtl": geometry.forgotten_usemtl,
