@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lib.analysis import explain
-from lib.analysis.candidates import enough
+from lib.analysis import explain, matrix
+from lib.analysis.candidates import Candidate, enough
 from lib.analysis.evidence import evidence
 from lib.analysis.explain import Leave
 from lib.analysis.gauss_newton import gauss_newton
@@ -106,6 +106,37 @@ def test_a_camera_that_mixes_colours_is_found_and_taken():
     assert off.max() < 0.02 and (off < 4 * found.result.sigma_rho[1:] + 1e-3).all()
     unmixed = explain.explain(problem, Leave(), max_iterations=40)
     assert unmixed.taken == []
+
+
+def test_derivatives_of_mixed_colours():
+    problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)
+    problem = replace(problem, transfer=Transfer("gamma", 2.0, matrix=MIXING))
+    at = Candidate.of(problem).result.at
+    theta = at.layout.pack(at.state)
+    for k in range(at.layout.size):
+        h = 1e-4 * np.eye(at.layout.size)[k]
+        there, back = at.moved(theta + h), at.moved(theta - h)
+        slope = (there.residual - back.residual).reshape(-1) / 2e-4
+        assert np.abs(at.jacobian[:, k] - slope).max() < 0.02 * np.abs(slope).max() + 1e-4
+
+
+def test_no_camera_mixes_colours_so_much():
+    """The terms bend to anything: light of other colours at every second tile is no matrix."""
+    problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)
+    found = matrix.fitted(Candidate.of(problem))
+    assert matrix.is_physical(found)
+    wild = ((3.0, -2.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    transfer = replace(found.result.state.transfer, matrix=wild)
+    found.result.state = replace(found.result.state, transfer=transfer)
+    assert not matrix.is_physical(found)
+
+
+def test_sigma_knows_of_colours_in_doubt():
+    problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)
+    plain = Candidate.of(problem)
+    terms = matrix._cause(plain.result.at, ())
+    sure, unsure = (gauss_newton(p).sigma_rho for p in (problem, replace(problem, doubted=terms)))
+    assert (unsure >= sure - 1e-12).all() and (unsure > 1.01 * sure).any()
 
 
 def photographed(shown, noise=0.01, seed=1, **more):

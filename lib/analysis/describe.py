@@ -96,7 +96,7 @@ def _found(explained: Explained, result, name):
         M, sigma = _mixing(explained.problem, result), None
         if result.cov_cause is not None:
             own = explained.problem.cause.of(name)
-            sigma = {"matrix": matrix.spread(np.sqrt(np.diag(result.cov_cause))[own])}
+            sigma = {"matrix": matrix.spread(result.cov_cause[np.ix_(own, own)])}
         return [(None, {"matrix": [list(row) for row in M]}, sigma)]
     if name == "glow":
         return [
@@ -239,10 +239,10 @@ def _transfer(problem, result, asked, rivals) -> FoundTransfer:
 
 def _mixing(problem, result):
     """(3, 3) M after the last step of the fit, where the result has one: the ladder holds all causes fast."""
-    M, step = np.array(result.state.transfer.matrix), result.state.cause
+    M, step = result.state.transfer.matrix, result.state.cause
     if step is not None and (own := problem.cause.of(matrix.NAME)).any():
-        M = matrix.stepped(M, step[own])
-    return tuple(map(tuple, M.tolist()))
+        M = tuple(map(tuple, matrix.stepped(M, step[own]).tolist()))
+    return M
 
 
 def _curve_sigma(problem, result, I):

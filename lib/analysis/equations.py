@@ -142,7 +142,10 @@ class Layout:
 
 
 class Equations:
-    """The problem linearised at a state: residual and Jacobian in display values, per half of the rays, too."""
+    """The problem linearised at a state: residual and Jacobian in display values, per half of the rays, too.
+
+    slope : (T, C) of the display values by the light that the camera has mixed
+    """
 
     def __init__(self, problem: Problem, light: TileLight, layout: Layout, at: Unknowns, x0=None):
         self.problem, self.light, self.layout = problem, light.at(at.rho_s), layout
@@ -160,6 +163,15 @@ class Equations:
         """The same at other parameters (n,)."""
         at = self.layout.unpack(theta, self.state)
         return Equations(self.problem, self.light, self.layout, at, x0=self.state.b)
+
+    def displayed(self, dB):
+        """Change of the display values that a change of the tiles' light causes, (T, C) or (T, C, k) as that is."""
+        return self._shown(self.slope, dB)
+
+    def _shown(self, slope, dB):
+        M = self.state.transfer.matrix
+        mixed = np.einsum("cd,td...->tc...", M, dB) if M else dB
+        return slope.reshape(*slope.shape, *[1] * (dB.ndim - 2)) * mixed
 
     @property
     def shown_share(self):
@@ -197,7 +209,7 @@ class Equations:
         """The same with the rays of a light, and its slopes of the display values."""
         self.light.at(self.state.rho_s)
         J = _tile_derivative(self.problem, light, self.layout, self.state, self.patch_derivative)
-        J = slope[:, :, None] * J
+        J = self._shown(slope, J)
         if self.layout.transfer:
             J[:, :, self.layout.responding] = by_transfer
         if self.layout.cause:
@@ -228,6 +240,7 @@ class Equations:
         if self.layout.cause:
             k = np.arange(self.layout.responding.stop, self.layout.size)
             H[k, k] = 1 / self.problem.cause.spread**2
+            target[k] = self.problem.cause.means
         return H @ (self.layout.pack(self.state) - target), H
 
     def cost(self, weight):

@@ -77,7 +77,7 @@ def noise_variance(problem: Problem, at: Equations) -> np.ndarray:
     variance = problem.tile_noise
     if problem.halves is None or not len(variance):
         return variance
-    shown = at.slope * at.shown_share * problem.halves.difference(at.state.E, at.state.b)
+    shown = at.displayed(at.shown_share * problem.halves.difference(at.state.E, at.state.b))
     return variance + float(np.median(shown**2)) / NORMAL_MEDIAN
 
 

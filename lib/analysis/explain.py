@@ -203,10 +203,11 @@ def lamps_told_wrong(found: Explained, leave: Leave) -> list[Why]:
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:
     """With the causes that the photograph supports beside those of `begun`, [Taken]."""
     best, more, functions = _climbed(begun, leave)
-    result, scale = fit(best.problem, start=best.start, **options)
+    problem = replace(best.problem, doubted=matrix.doubted(best) if leave.response else None)
+    result, scale = fit(problem, start=best.start, **options)
     result.iterations += best.result.iterations
     rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
-    return Explained(best.problem, result, scale, rivals, [*taken, *more], best.taken, given, best, leave.lens)
+    return Explained(problem, result, scale, rivals, [*taken, *more], best.taken, given, best, leave.lens)
 
 
 def _lobed(base: Candidate, lobes: LampLobes, hopeless) -> Candidate | None:
@@ -238,9 +239,10 @@ def _climbed(best: Candidate, leave: Leave):
     """The best candidate, [Taken] on the way to it, and the candidates with other transfer functions."""
     taken, functions, tried = [], (), {vignetting.NAME} & best.taken.keys()
     while wanted := _promising(best, leave, tried):
-        if max(wanted, key=wanted.get) == glow.NAME:
-            wanted = {glow.NAME}  # in the dark of an open model the others only bend to it
-        wanted = set(wanted) - ({matrix.NAME} if "response" in wanted else set())  # colours last: they bend to it
+        most = max(wanted, key=wanted.get)
+        if most in (glow.NAME, matrix.NAME):
+            wanted = {most}  # the others only bend to it
+        wanted = set(wanted) - ({matrix.NAME} if "response" in wanted else set())  # else colours last: they bend to it
         tried |= wanted
         candidates = {}
         if "response" in wanted:

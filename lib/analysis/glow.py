@@ -59,9 +59,9 @@ def promise(found: Candidate) -> float:
     rho, matrices = at.state.rho[problem.patch_group].astype(np.float32), at.light.matrices
     b = reflected(matrices.F, rho, rho * problem.D[:, k].astype(np.float32), tolerance=1e-3).b
     dB = at.shown_share * (problem.D_tile[:, k] + problem.G @ b)
-    columns = np.zeros((*dB.shape, C))
-    columns[:, np.arange(C), np.arange(C)] = at.slope * dB
-    return promised(problem, at, columns).nats - found.evidence.nats
+    each = np.zeros((*dB.shape, C))
+    each[:, np.arange(C), np.arange(C)] = dB
+    return promised(problem, at, at.displayed(each)).nats - found.evidence.nats
 
 
 def fitted(found: Candidate) -> Candidate:

@@ -86,7 +86,7 @@ class LampLobes:
         rho = np.tile(state.rho[problem.patch_group], m)
         b = reflected(at.light.matrices.F, rho, rho * first, tolerance=1e-3).b
         B = np.tile(state.rho[problem.tile_group], m) * (seen + times([problem.G], b))
-        return at.slope[:, :, None] * B.reshape(len(B), m, C).transpose(0, 2, 1)
+        return at.displayed(B.reshape(len(B), m, C).transpose(0, 2, 1))
 
     def uneven(self, at: Equations) -> CauseTerms:
         """Light that is 1 + a . direction in place of lambertian, of each lamp: the first step towards any lobe."""

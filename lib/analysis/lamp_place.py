@@ -62,7 +62,7 @@ class Lamps:
             there = self.problem(replace(problem, cause=None), lamp, offset + STEP_M * axis)
             state, light = at.state, TileLight(there)
             b, _ = light.solve(state.rho, state.E, state.b, tolerance=1e-4)
-            columns.append(at.slope * (light.shown(state.rho, state.E, b) - state.B) / STEP_M)
+            columns.append(at.displayed(light.shown(state.rho, state.E, b) - state.B) / STEP_M)
         return CauseTerms(("lamp_place",) * len(columns), np.stack(columns, axis=-1), np.full(len(columns), prior_m))
 
 

@@ -169,12 +169,19 @@ class CauseTerms(NamedTuple):
     """What may be wrong with the picture as a whole, linearised: k numbers that are 0 where the problem stands.
 
     names : (k,) of the cause that each number belongs to
-    columns : (T, C, k) derivatives of the display residual;  spread : (k,) standard deviations of the prior, or inf
+    columns : (T, C, k) derivatives of the display residual
+    spread, usual : standard deviations (k,) of the prior, or inf, and its means, (k,) or one for all
     """
 
     names: tuple
     columns: np.ndarray
     spread: np.ndarray
+    usual: np.ndarray | float = 0.0
+
+    @property
+    def means(self):
+        """(k,) of the prior."""
+        return np.broadcast_to(self.usual, len(self.names))
 
     def of(self, cause):
         """(k,) bool: the numbers of one cause."""
@@ -184,7 +191,7 @@ class CauseTerms(NamedTuple):
         """What is left without these causes."""
         kept = ~np.isin(self.names, names)
         names = tuple(np.array(self.names)[kept])
-        return CauseTerms(names, self.columns[..., kept], self.spread[kept]) if names else None
+        return CauseTerms(names, self.columns[..., kept], self.spread[kept], self.means[kept]) if names else None
 
     def beside(self, others: CauseTerms | None) -> CauseTerms:
         """Both, these last and in place of what the others have of the same causes."""
@@ -195,6 +202,7 @@ class CauseTerms(NamedTuple):
             (*others.names, *self.names),
             np.concatenate([others.columns, self.columns], axis=-1),
             np.concatenate([others.spread, self.spread]),
+            np.concatenate([others.means, self.means]),
         )
 
 
@@ -211,7 +219,8 @@ class Problem:
     halves : None where only one set of rays is known;  group_area : (G,)
     specular : light by way of mirrors and glossy surfaces, None where every group is diffuse
     variance : (T, 1) display, of what is known not to be explained (a texture), or None
-    cause : fitted with the rest, or None;  gain : (T, 1) of the lens, by which the photograph is divided, or None
+    cause : fitted with the rest, or None;  doubted : not fitted, but sigma knows that it may be so, or None
+    gain : (T, 1) of the lens, by which the photograph is divided, or None
     block_noise : display, of blocks of pixels (JPEG);  edge_noise : (T,) of a pixel of each tile, beside edges, or None
     colour_noise : (C,) display, that all tiles of one colour have in common, or None
     unsure : ((dD, dD_tile), ...) changes of the lamps' light by one standard deviation of where things stand
@@ -241,6 +250,7 @@ class Problem:
     specular: SpecularTerms | None = None
     variance: np.ndarray | None = None
     cause: CauseTerms | None = None
+    doubted: CauseTerms | None = None
     gain: np.ndarray | None = None
     block_noise: float = 0.0
     edge_noise: np.ndarray | None = None
@@ -385,9 +395,10 @@ def observe(problem: Problem, transfer: Transfer):
 
 
 def display_residual(problem: Problem, B, transfer: Transfer):
-    """Synthesis minus photograph in display values, and its derivatives: by B (T, C), by the transfer's (T, C, P)."""
-    metric = Metric(transfer)
-    seen, seen_slope = observe(problem, transfer)
+    """Synthesis minus photograph in display values, and its derivatives: by the light (T, C) that the camera has mixed,
+    and by the transfer's parameters, (T, C, P)."""
+    metric, B = Metric(transfer), transfer.mixed(B)
+    seen, seen_slope = observe(problem, transfer.bare)
     residual = metric.value(B) - metric.value(seen)
     slope = metric.slope(B)
     if not problem.fit_transfer:

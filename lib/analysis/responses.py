@@ -27,8 +27,8 @@ def promise(found: Candidate) -> float:
     """Nats that one step from the fit towards a free curve brings."""
     at, problem = found.result.at, found.problem
     curve = at.state.transfer.as_curve()
-    metric, seen = Metric(curve), observe(problem, curve)
-    columns = metric.by_parameters(at.state.B) - metric.by_parameters(seen[0])
+    metric, seen = Metric(curve), observe(problem, curve.bare)
+    columns = metric.by_parameters(curve.mixed(at.state.B)) - metric.by_parameters(seen[0])
     columns = columns - metric.slope(seen[0])[..., None] * seen[1]
     prior = smooth(len(KNOTS))
     return promised(problem, at, columns, at.layout.responding, prior).nats - found.evidence.nats

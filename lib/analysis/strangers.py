@@ -193,7 +193,7 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
         things = np.unique(problem.tile_object[problem.tile_group == g])
         if len(things) > 1 and g not in climbed and g not in problem.known_groups:
             rows += [(g, thing) for thing in things]
-    brightness = np.maximum(np.abs(at.slope * state.B), 1e-9)
+    brightness = np.maximum(np.abs(at.displayed(state.B)), 1e-9)
     tried = []
     for g, thing in rows:
         mine = (problem.tile_group == g) & (problem.tile_object == thing)
@@ -206,9 +206,9 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
             break
         own = evidence(problem, at).nats if own is None else own
         C = problem.channels
-        columns = np.zeros((len(mine), C, C))
-        columns[:, np.arange(C), np.arange(C)] = np.where(mine[:, None], at.slope * state.B, 0)
-        gain = promised(problem, at, columns).nats - own
+        each = np.zeros((len(mine), C, C))
+        each[:, np.arange(C), np.arange(C)] = np.where(mine[:, None], state.B, 0)
+        gain = promised(problem, at, at.displayed(each)).nats - own
         if gain >= enough(problem):
             found.append(_another_material(names()[thing], 1 + ratio, problem.groups[g], float(gain)))
     return found

@@ -35,6 +35,8 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         common[own, own] = np.outer(delta[own], delta[own])  # the points of a curve move together
         cov = cov + common
         result.shares[cause] = typical
+    if problem.doubted is not None:
+        cov = cov + normal.beside(problem.doubted)
     if result.misfit > MISFIT:
         cov = cov * result.misfit**2  # what noise does not explain may be anything: every value is as uncertain
     sigma = np.maximum(np.sqrt(np.maximum(np.diag(cov), 0)), normal.loose)
@@ -81,18 +83,32 @@ class _Normal:
         each = self._by_tile((self.weight * error.reshape(-1))[:, None] * self.J)
         return self.inverse @ (each.T @ each) @ self.inverse
 
+    def beside(self, terms):
+        """Second moments (n, n) of what numbers leave that are not fitted: how far they may be off, and how far they
+        are if the tiles are right."""
+        C = terms.columns.reshape(-1, len(terms.names))
+        weighted = self.weight[:, None] * C
+        along = self.inverse @ (self.J.T @ weighted)
+        known = C.T @ weighted - (self.J.T @ weighted).T @ along + np.diag(1 / terms.spread**2)
+        off = along @ np.linalg.solve(known, weighted.T @ self.at.residual.reshape(-1))
+        return along @ np.linalg.solve(known, along.T) + np.outer(off, off)
+
     def push(self, dB):
         """(n,) change of the parameters that a change dB (T, C) of the synthesis causes."""
-        return -self.inverse @ (self.J.T @ (self.weight * (self.at.slope * dB).reshape(-1)))
+        return self.push_shown(self.at.displayed(dB))
+
+    def push_shown(self, off):
+        """The same of a change (T, C) of display values."""
+        return -self.inverse @ (self.J.T @ (self.weight * off.reshape(-1)))
 
 
 def _tile_errors(problem, at, result):
     """Errors (T, C) in display values that are independent from tile to tile; sets the misfit beside them."""
     state, rho_tile, found = at.state, at.shown_share, []
     if problem.specular is not None and problem.specular.spread:
-        found.append(at.slope * rho_tile * at.light.bent(*problem.specular.spread, state.E, state.b))
+        found.append(at.displayed(rho_tile * at.light.bent(*problem.specular.spread, state.E, state.b)))
     if problem.halves:
-        sampling = at.slope * rho_tile * problem.halves.difference(state.E, state.b)
+        sampling = at.displayed(rho_tile * problem.halves.difference(state.E, state.b))
         found.append(sampling)
         noise = problem.tile_noise
         expected = float(np.sqrt(np.median(sampling**2 / SQUARED_MEDIAN + noise)))
@@ -121,9 +137,10 @@ def _common_errors(problem, at, normal):
     if problem.edge_noise is not None:
         for g in np.unique(problem.tile_group[problem.edge_noise > 0]):
             off = np.where(problem.tile_group == g, BLED * problem.edge_noise, 0)[:, None]
-            found[f"blocks {problem.groups[g]}"] = normal.push(off / np.maximum(at.slope, 1e-9))
+            off = np.repeat(off, problem.channels, axis=1)
+            found[f"blocks {problem.groups[g]}"] = normal.push_shown(off)
     for name, off in _colours(problem):
-        found[name] = normal.push(off / np.maximum(at.slope, 1e-9))
+        found[name] = normal.push_shown(off)
     for k, (dD, dD_tile) in enumerate(problem.unsure):
         dB = dD_tile @ state.E
         if dD is not None:

@@ -34,7 +34,7 @@ def _cause(problem: Problem, at, r2) -> CauseTerms:
     """The terms, linearised: what is seen, over V, is the light."""
     gain = 1.0 if problem.gain is None else problem.gain
     share = np.stack([r2 ** (j + 1) for j in range(TERMS)], axis=-1) / gain  # (T, k)
-    columns = (at.slope * at.state.B)[..., None] * share[:, None, :]
+    columns = at.displayed(at.state.B)[..., None] * share[:, None, :]
     return CauseTerms((NAME,) * TERMS, columns, np.full(TERMS, SPREAD))
 
 
