@@ -15,6 +15,7 @@ from lib.analysis.candidates import Candidate, enough
 from lib.analysis.equations import Equations, Layout, Unknowns
 from lib.analysis.evidence import evidence, held_out, likelihood, noise_variance
 from lib.analysis.gather import Gathered
+from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Problem, Result
 from lib.analysis.transport import TileLight
 from lib.given.materials import Why
@@ -118,7 +119,8 @@ def lamps_told(problem, result) -> tuple[list[Why], bool]:
     gain = free.evidence.nats - nats
     if gain < enough(problem):
         return [], False
-    return lamps_of(problem, free, gain), free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
+    little = free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
+    return lamps_of(problem, free, gain), little and fits(gauss_newton(free.problem, start=free.start))
 
 
 def lamps_of(problem, freed: Candidate, nats, spared=()) -> list[Why]:

@@ -186,18 +186,20 @@ def with_lobes(found: Explained, leave: Leave, **options) -> Explained:
     return found
 
 
-def lamps_told_wrong(found: Explained, leave: Leave) -> list[Why]:
-    """Emittances that are told, where others take the place of causes, or explain more beside as many."""
+def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
+    """Emittances that are told, where causes suffice, but others do so with fewer, or with as many explain more."""
     told = found.given.problem
-    if not found.taken or not are_told(told):
+    if not found.taken or not are_told(told) or not fits(found.result):
         return []
     free, taken, _ = _climbed(Candidate.of(freed(told), start=found.given.start), leave)
     gain, least = free.evidence.nats - found.best.evidence.nats, enough(told)
+    if gain < least and (gain < -least or len(taken) >= len(found.taken)):
+        return []
+    if not fits(fit(free.problem, start=free.start, **options)[0]):
+        return []  # what is wrong is something else, to which the lamps bend too
     seen = replace(told, emittance=found.best.problem.transfer.mixed(told.emittance))  # as the camera has them
-    if gain >= least:
-        return lamps_of(seen, free, gain)
     spared = [t.name for t in found.taken if t.cause not in {u.cause for u in taken}]
-    return lamps_of(seen, free, gain, spared) if len(taken) < len(found.taken) and gain >= -least else []
+    return lamps_of(seen, free, gain, spared if gain < least else ())
 
 
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:

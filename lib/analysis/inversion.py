@@ -136,9 +136,9 @@ def solve(task: Task, report: Report) -> Answer:
     problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
     leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
     explained = explain.without_lobes(problem, leave, gamma=task.gamma, **options)
-    if task.can_look and (wrong := _told_wrong(task, explained, leave)):
+    if task.can_look and (wrong := _told_wrong(task, explained, leave, options)):
         answer = _answer(explained.kept(**options))
-        answer.why = wrong
+        answer.why = agreement.joined(wrong, _missing(task, answer.explained))
         return answer
     lobed = explain.with_lobes(explained, leave, **options)
     explained = explained.kept(**options)
@@ -176,9 +176,9 @@ def _suffices(task, explained, in_lobes, lobed) -> bool:
     return left[0] <= LEFT * left[1]
 
 
-def _told_wrong(task, explained, leave) -> list:
+def _told_wrong(task, explained, leave, options) -> list:
     """[Why] of lamps that scene.yaml or the model has wrong, where that is all that is wrong."""
-    if why := explain.lamps_told_wrong(explained, leave):
+    if why := explain.lamps_told_wrong(explained, leave, **options):
         return why
     if agreement.fits(explained.result):
         return []
@@ -193,6 +193,13 @@ def _told_wrong(task, explained, leave) -> list:
     from lib.analysis import refine
 
     return refine.flipped(task.view(), task.factors, task.found, explained)
+
+
+def _missing(task, explained) -> list:
+    """[Why] of things that the model has not: light that they take may pass for a lamp's."""
+    from lib.analysis import strangers
+
+    return strangers.things_missing(task.view(), task.factors, explained, _audit(task, explained))
 
 
 def _audit(task, explained) -> Audit:

@@ -26,7 +26,8 @@ from lib.light.factors_file import FormFactors
 STRANGE = 0.03  # display, from which a pixel may show something else;  and so many times what is usual on its facet
 TIMES = 6
 LARGE = 0.002  # part of the picture that a thing covers at least
-SHARP = 0.4  # of the step at a thing's outline that lies within two pixels, over half of the outline
+SHARP = 0.4  # of the step at a thing's outline that lies within two pixels
+HALF, ALL_AROUND = 0.5, 0.95  # of the outline that is so sharp
 OUTLINE = 20  # pixels of it that must be seen
 WHOLE = 0.6  # of a facet: a thing covers less
 SAMPLES = 16  # of each lamp, from a pixel
@@ -120,7 +121,10 @@ class _Picture:
         return low, high
 
     def is_thing(self, mine, several):
-        """Whether such pixels (H, W) bool show a thing. several : only one that stands before several surfaces"""
+        """Whether such pixels (H, W) bool show a thing.
+
+        several : one that stands before several surfaces, or has a sharp outline nearly all around
+        """
         import cv2
 
         facets, count = np.unique(self.owner[mine & (self.owner >= 0)], return_counts=True)
@@ -129,7 +133,7 @@ class _Picture:
         most = facets[count.argmax()]
         on_most = self.owner == most
         alone = 1 - count.max() / count.sum() < ELSEWHERE
-        if alone and (several or self.of_group[on_most][0] in self.climbed):
+        if alone and self.of_group[on_most][0] in self.climbed:
             return False
         if count.max() > WHOLE * np.count_nonzero(on_most):
             return False  # most of a surface is as strange: its material, or its light
@@ -140,7 +144,8 @@ class _Picture:
             return False
         seen = self._drawn(self.seen, 0.0)
         near, far = (_step(seen, px)[rim] for px in (2, 6))
-        return bool(np.mean(near > SHARP * np.maximum(far, STRANGE)) > 0.5)
+        sharp = np.mean(near > SHARP * np.maximum(far, STRANGE))
+        return bool(sharp > (ALL_AROUND if alone and several else HALF))
 
     def named(self, mine):
         """The groups before which it stands."""
