@@ -23,7 +23,7 @@ the picture.  So every pixel is a mean of independent passes, some of more than 
 mean over pixels that no lamp's edge touches.
 
 `--gather` traces a diffuse room another way, with a tenth of the noise in the same time: lib/synthetic/gathering.py.
-Names room-<seed> and small-<seed> are random rooms: lib/synthetic/random_rooms.py.
+Names room-<seed> and small-<seed> are random rooms: lib/synthetic/random_rooms.py; pair-<seed> are pairs in such rooms.
 
 A stereo pair is traced through its lenses: every sample's ray is the one that the lens puts at that place of the pixel
 (a box filter; no finished picture is warped).  The sensor's noise is added before values are rounded.  Its passes have
@@ -82,8 +82,8 @@ def main(opt):
 
     mi.set_variant(opt.variant)
     scalar = opt.variant.startswith("scalar")
-    if opt.gather and (scalar or recipe.surfaces or recipe.reference or recipe.pair):
-        raise stage.BadInput("--gather: for --variant llvm_ad_rgb and diffuse rooms with black lamps")
+    if opt.gather and (scalar or recipe.surfaces or recipe.reference or recipe.pair and recipe.pair.board):
+        raise stage.BadInput("--gather: for --variant llvm_ad_rgb, diffuse rooms with black lamps and given cameras")
     if recipe.lobes and not opt.gather:
         raise stage.BadInput(f"--scene: {opt.scene}: lamps with lobes are drawn by --gather alone")
     if scalar and any(surface.kind != "textured" for surface in recipe.surfaces.values()):

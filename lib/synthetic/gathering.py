@@ -14,6 +14,7 @@ import numpy as np
 from lib.synthetic.mitsuba_scene import write_ply
 from lib.synthetic.optics import directions
 from lib.synthetic.pictures import Passes
+from lib.synthetic.stereo_pictures import PairPictures
 
 OFF_M = 1e-4  # rays start so far off their surface
 NEAR_M = 0.3  # surfaces nearer than this are lit anew
@@ -200,12 +201,13 @@ class Gatherer:
 
     # ---- pictures ----
 
-    def picture(self, spp, seed) -> np.ndarray:
-        """(H, W, 3) linear values: one pass."""
+    def picture(self, spp, seed, K=None, T_cam_world=None) -> np.ndarray:
+        """(H, W, 3) linear values: one pass of the recipe's view, or of another one."""
         import drjit as dr
 
-        mi, (W, H), T = self.mi, self.recipe.size, np.linalg.inv(self.recipe.T_cam_world)
-        K, step, out = self.recipe.K, max(1, CHUNK // spp), np.zeros((H * W, 3))
+        mi, (W, H) = self.mi, self.recipe.size
+        T = np.linalg.inv(self.recipe.T_cam_world if T_cam_world is None else T_cam_world)
+        K, step, out = self.recipe.K if K is None else K, max(1, CHUNK // spp), np.zeros((H * W, 3))
         # opaque: Dr.Jit widens a literal 0 to the first chunk's size, and the last chunk is shorter
         x_axis, y_axis, z_axis, eye = (
             mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in T[:3, k])) for k in range(4)
@@ -247,15 +249,32 @@ def gathered(mi, recipe, folder, opt) -> tuple:
     room = Gatherer(mi, recipe, folder)
     room.warm(seed=opt.seed)
     number = room.shown()
-    table = lambda names, key: np.array([names.index(key(p)) + 1 for p in recipe.polygons] + [0], np.uint16)
-    labels = table(recipe.groups, lambda p: p.group)[number]
+    labels = _numbered(recipe.groups, recipe.polygons, lambda p: p.group)[number]
     lamps = np.isin(labels, [recipe.groups.index(g) + 1 for g in recipe.lamps])
     pure = np.where(lamps | (cv2.dilate(lamps.astype(np.uint8), np.ones((3, 3))) == 0), labels, 0)
     passes = Passes((*labels.shape, 3), pure, len(recipe.groups))
-    passes.objects = table(recipe.objects, lambda p: p.object)[number]
+    passes.objects = _numbered(recipe.objects, recipe.polygons, lambda p: p.object)[number]
     for k in range(opt.passes):
         passes.add(room.picture(opt.spp, opt.seed + k + 1))
     return passes, labels, opt.passes + 1
+
+
+def gathered_pair(mi, recipe, folder, opt) -> PairPictures:
+    """Both views of a pair of pinholes, like `stereo_pictures.pair_of_photographs`."""
+    room = Gatherer(mi, recipe, folder)
+    room.warm(seed=opt.seed)
+    labels = _numbered(recipe.groups, recipe.polygons, lambda p: p.group)[room.shown()]
+    passes = {}
+    for side, (lens, T) in recipe.views().items():
+        passes[side] = Passes((*labels.shape, 3), np.zeros_like(labels), 0)
+        for k in range(opt.passes):
+            passes[side].add(room.picture(opt.spp, opt.seed + k + 1, lens.K, T))
+    return PairPictures(passes, labels, opt.passes + 1)
+
+
+def _numbered(names, polygons, key):
+    """(P + 1,) index + 1 of each polygon's name; the last, 0, is of no polygon."""
+    return np.array([names.index(key(p)) + 1 for p in polygons] + [0], np.uint16)
 
 
 def _still_to_come(a, b, c) -> np.ndarray:

@@ -13,6 +13,7 @@ floor and touch the walls.
 from dataclasses import replace
 
 from lib.synthetic import mirrors_and_gloss, offices, stereo, textured
+from lib.synthetic.random_pairs import random_pair
 from lib.synthetic.random_rooms import lobed_room, random_room, white_room
 from lib.synthetic.recipe import Recipe
 
@@ -45,8 +46,8 @@ KIND_NAMES = tuple(_KINDS)  # mirrors, gloss, textures
 _RECIPES = _DIFFUSE | _STEREO | _KINDS
 ALL_NAMES = tuple(_RECIPES)
 # room-<seed> and small-<seed> are random rooms; white-<gap in mm>-<seed> and white-shelves-<seed> white ones with a
-# gap; lobed-<seed> random rooms whose lamps throw their light in lobes
-RANDOM = {"room": (640, 480), "small": (400, 300), "white": (400, 300), "lobed": (400, 300)}
+# gap; lobed-<seed> random rooms whose lamps throw their light in lobes; pair-<seed> stereo pairs of a size of their own
+RANDOM = {"room": (640, 480), "small": (400, 300), "white": (400, 300), "lobed": (400, 300), "pair": None}
 
 
 def make(name) -> Recipe:
@@ -56,6 +57,8 @@ def make(name) -> Recipe:
         return replace(white_room(seed, size=RANDOM[kind]), name=name)
     if kind == "lobed" and seed:
         return replace(lobed_room(seed, size=RANDOM[kind]), name=name)
+    if kind == "pair" and seed:
+        return random_pair(seed)
     if kind in RANDOM and seed:
         return replace(random_room(seed, size=RANDOM[kind]), name=name)
     return _RECIPES[name]()

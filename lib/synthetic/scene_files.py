@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lib.given import image
-from lib.synthetic.gathering import gathered
+from lib.synthetic.gathering import gathered, gathered_pair
 from lib.synthetic.mitsuba_scene import MAX_DEPTH
 from lib.synthetic.optics import rodrigues
 from lib.synthetic.origin import origin
@@ -64,7 +64,7 @@ def synthesise_pair(mi, recipe, opt):
     truth.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        pictures = pair_of_photographs(mi, recipe, Path(folder), opt)
+        pictures = (gathered_pair if opt.gather else pair_of_photographs)(mi, recipe, Path(folder), opt)
         print(f"{recipe.name}: pair {time.perf_counter() - start:.0f} s")
         linear = {side: p.mean() for side, p in pictures.passes.items()}
         for side, B in linear.items():
