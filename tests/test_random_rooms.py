@@ -7,6 +7,7 @@ import pytest
 
 from lib.given import model
 from lib.synthetic import random_rooms, recipes
+from lib.synthetic.random_pairs import random_pair
 from lib.synthetic.random_rooms import random_room
 from lib.synthetic.sight import coarse_view, first_polygon
 
@@ -124,3 +125,14 @@ def test_a_draw_that_will_not_do_is_thrown_away(monkeypatch):
     other = random_room(5, size=(160, 120))
     assert other.model() != usual.model()
     assert min(pixels(other, lambda p: p.object, 1).get(n, 0) for n in ("crate",)) > 12000 / 16
+
+
+@pytest.mark.parametrize("seed", (1, 4, "word"))
+def test_pairs_see_the_same_room(seed):
+    recipe = random_pair(seed, size=(160, 120))
+    assert random_pair(seed, size=(160, 120)).pair_files() == recipe.pair_files()
+    T = recipe.pair.T_right_left
+    assert np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12) and np.linalg.det(T[:3, :3]) > 0
+    assert 0.05 < np.linalg.norm(T[:3, 3]) < 3 and -(T[:3, :3].T @ T[:3, 3])[0] > 0  # the right one stands to the right
+    for _, at in recipe.views().values():
+        assert (coarse_view(recipe.polygons, recipe.K, recipe.size, at, 10)[0] >= 0).all()

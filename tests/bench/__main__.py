@@ -9,6 +9,7 @@ meshes         uniform and adapted patches, `office`, against a fine mesh
 fit            paper, damped and Gauss-Newton, and the whole chain, on `office` and `gallery-white` against truth/
 causes         what is put right before materials: a camera 2 px off, vignetting, a film curve, noise
 segment        the energy of eq. 2.1 beside plain merging and Pottslab (where it is installed: pip install pottslab)
+surfaces       how much of a plane is one surface, and how many span two, against the shipped rooms' true planes
 facets         planes of true regions by borders, intensities and both, against truth
 recognise      the pose by the paper's gradient and by the trust region; seeded trials of the search
 ladder         which rung each group reaches under 20 seeds of noise, and the error of mirrors and lobes (an hour)
@@ -312,6 +313,7 @@ CURVES = {
 
 ALONE = {
     "segment": "segment_bench",
+    "surfaces": "surface_bench",
     "facets": "facet_curves",
     "recognise": "recognise_curves",
     "ladder": "ladder_bench",

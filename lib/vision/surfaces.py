@@ -1,0 +1,80 @@
+"""Surfaces: regions whose common border is no border of anything.
+
+Equation 2.1 has regions of one colour, so it cuts a wall along levels of its shading, and elsewhere in the left and in
+the right photograph. Such a border has no step: beside it both sides are one ramp. In windows along each border the
+pixels of both sides are fitted by a common gradient and a step between them (least squares). Neighbours merge, those
+with the fewest steps first, while less than a quarter of their border shows one.
+
+A region that spans two planes draws them together. At the lambda of noise alone (segmentation.noise_lambda) there are
+fewest of those, and merging takes away what it cuts too much: tests/bench, surfaces.
+"""
+
+import heapq
+
+import numpy as np
+
+from lib.vision import surfaces_kernels as kernels
+from lib.vision.segmentation import noise
+
+WINDOW = 14  # px along a border
+SURE = 4.0  # standard deviations of a step that counts
+TIMES_RAMP, TIMES_NOISE, LEAST = 2.5, 0.6, 0.006  # and its size: change per px of the ramp, noise, display
+SHARE = 0.25  # of a border that may show a step where the neighbours merge
+SHORTEST = 8  # px of a border that says anything
+
+
+def surfaces(picture, labels) -> np.ndarray:
+    """(H, W) int32 labels from 1 of the surfaces of (H, W, C) picture's regions (H, W), labels from 1."""
+    f = np.ascontiguousarray(picture, np.float64)
+    labels = np.ascontiguousarray(labels, np.int64)
+    stepped, length = _borders(f, labels)
+    return _merged(stepped, length, int(labels.max()))[labels]
+
+
+def _borders(f, labels):
+    """({(a, b): px with a step}, {(a, b): px}) of the border between neighbours a < b."""
+    rows = kernels.borders(labels, WINDOW)
+    rows = rows[np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))]
+    first = np.flatnonzero((np.diff(rows[:, :3], axis=0, prepend=-1) != 0).any(axis=1))
+    count = np.diff(np.append(first, len(rows)))
+    step, sigma, ramp = kernels.steps(f, labels, rows, first, count).transpose(1, 0, 2)
+    least = np.maximum(np.maximum(TIMES_RAMP * ramp, TIMES_NOISE * noise(f)), LEAST)
+    known = np.isfinite(step).all(axis=1)
+    is_step = ~known | ((np.abs(step) > SURE * sigma) & (np.abs(step) > least)).any(axis=1)
+    stepped, length = {}, {}
+    for (a, b), n, s in zip(rows[first, :2].tolist(), count.tolist(), is_step.tolist(), strict=True):
+        length[a, b] = length.get((a, b), 0) + n
+        stepped[a, b] = stepped.get((a, b), 0) + n * s
+    return stepped, length
+
+
+def _merged(stepped, length, n):
+    """(n + 1,) int32 new label of each region."""
+    around = [{} for _ in range(n + 1)]  # label -> [px with a step, px]
+    for (a, b), px in length.items():
+        around[a][b] = around[b][a] = [stepped[a, b], px]
+    share = lambda border: border[0] / border[1]
+    queue = [(share(around[a][b]), a, b) for a, b in length if length[a, b] >= SHORTEST]
+    heapq.heapify(queue)
+    into = np.arange(n + 1)
+    while queue and queue[0][0] < SHARE:
+        told, a, b = heapq.heappop(queue)
+        if b not in around[a] or told != share(around[a][b]):
+            continue  # merged meanwhile, or another border by now
+        if len(around[a]) < len(around[b]):
+            a, b = b, a
+        into[b] = a
+        del around[a][b], around[b][a]
+        for c, border in around[b].items():
+            del around[c][b]
+            joint = around[a].get(c, [0, 0])
+            joint = [joint[0] + border[0], joint[1] + border[1]]
+            around[a][c] = around[c][a] = joint
+            if joint[1] >= SHORTEST:
+                heapq.heappush(queue, (share(joint), min(a, c), max(a, c)))
+        around[b] = {}
+    for k in range(n + 1):
+        while into[k] != into[into[k]]:
+            into[k] = into[into[k]]
+    numbers = np.unique(into[1:], return_inverse=True)[1] + 1
+    return np.append(0, numbers).astype(np.int32)

@@ -1,0 +1,75 @@
+"""Compiled parts of surfaces.py."""
+
+import numpy as np
+
+from lib.core.compiled import njit
+
+NEAR, FAR = 1.0, 6.0  # px from the border, of the pixels on its two sides that are compared
+FEWEST = 12  # of them on either side
+
+
+@njit()
+def borders(labels, cell):
+    """(n, 5) int64: (a, b, cell, y, x) of each pair of neighbours with labels a < b; x and y are twice its middle's."""
+    H, W = labels.shape
+    across = (W + cell - 1) // cell
+    out = np.empty((2 * H * W, 5), np.int64)
+    n = 0
+    for y in range(H):
+        for x in range(W):
+            for k in range(2):
+                v, u = y + k, x + 1 - k
+                if v < H and u < W and labels[v, u] != labels[y, x]:
+                    a, b = labels[y, x], labels[v, u]
+                    out[n, 0], out[n, 1] = min(a, b), max(a, b)
+                    out[n, 2] = (y // cell) * across + x // cell
+                    out[n, 3], out[n, 4] = y + v, x + u
+                    n += 1
+    return out[:n].copy()
+
+
+@njit()
+def steps(f, labels, rows, first, count):
+    """For each window of a border, (windows, 3, C): the step between its two sides, its standard deviation, and the
+    change per pixel of the gradient that both share. NaN where either side has too few pixels.
+
+    f : (H, W, C);  rows : of borders(), sorted by window;  first, count : of each window's rows
+    """
+    H, W, C = f.shape
+    out = np.full((len(first), 3, C), np.nan)
+    most = int(4 * FAR * FAR) * 8
+    A, F = np.empty((most, 4)), np.empty((most, C))
+    for w in range(len(first)):
+        mine = rows[first[w] : first[w] + count[w]]
+        a, b = mine[0, 0], mine[0, 1]
+        y0, y1 = max(mine[:, 3].min() // 2 - int(FAR), 0), min(mine[:, 3].max() // 2 + int(FAR) + 2, H)
+        x0, x1 = max(mine[:, 4].min() // 2 - int(FAR), 0), min(mine[:, 4].max() // 2 + int(FAR) + 2, W)
+        n, of_b = 0, 0
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                label = labels[y, x]
+                if (label != a and label != b) or n == most:
+                    continue
+                d2 = np.inf
+                for k in range(count[w]):
+                    dy, dx = y - mine[k, 3] / 2, x - mine[k, 4] / 2
+                    d2 = min(d2, dy * dy + dx * dx)
+                if NEAR * NEAR <= d2 <= FAR * FAR:
+                    A[n, 0], A[n, 1], A[n, 2], A[n, 3] = 1, y - mine[0, 3] / 2, x - mine[0, 4] / 2, label == b
+                    F[n] = f[y, x]
+                    of_b += label == b
+                    n += 1
+        if of_b < FEWEST or n - of_b < FEWEST:
+            continue
+        D, values = np.ascontiguousarray(A[:n, :4]), np.ascontiguousarray(F[:n])
+        G = D.T @ D
+        if np.linalg.cond(G) > 1e10:
+            continue
+        inverse = np.linalg.inv(G)
+        fit = inverse @ (D.T @ values)
+        left = values - D @ fit
+        for c in range(C):
+            out[w, 0, c] = fit[3, c]
+            out[w, 1, c] = np.sqrt((left[:, c] ** 2).sum() / (n - 4) * inverse[3, 3])
+            out[w, 2, c] = np.sqrt(fit[1, c] ** 2 + fit[2, c] ** 2)
+    return out
