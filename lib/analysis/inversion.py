@@ -136,9 +136,9 @@ def solve(task: Task, report: Report) -> Answer:
     problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
     leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
     explained = explain.without_lobes(problem, leave, gamma=task.gamma, **options)
-    if task.can_look and (wrong := _told_wrong(task, explained, leave, options)):
+    if task.can_look and (wrong := _told_wrong(task, explained)):
         answer = _answer(explained.kept(**options))
-        answer.why = agreement.joined(wrong, _missing(task, answer.explained))
+        answer.why = agreement.joined(wrong, _missing(task, answer.explained, _audit(task, answer.explained)))
         return answer
     lobed = explain.with_lobes(explained, leave, **options)
     explained = explained.kept(**options)
@@ -156,6 +156,10 @@ def solve(task: Task, report: Report) -> Answer:
         refined = _by_light(plain, explained, audit if task is plain else _audit(plain, explained))
         if refined is not None:
             return _answer(explained, refined=refined, why=refined.why)
+    if wrong := explain.lamps_told_wrong(explained, leave, **options):
+        answer = _answer(explained, audit, judged)
+        answer.why = agreement.joined(wrong, _missing(task, explained, audit))
+        return answer
     answer = _materials(task, explained, audit, judged, report)
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
         task, audit = in_lobes, _audit(in_lobes, lobed)  # nothing suffices, lobes come nearest
@@ -176,10 +180,8 @@ def _suffices(task, explained, in_lobes, lobed) -> bool:
     return left[0] <= LEFT * left[1]
 
 
-def _told_wrong(task, explained, leave, options) -> list:
+def _told_wrong(task, explained) -> list:
     """[Why] of lamps that scene.yaml or the model has wrong, where that is all that is wrong."""
-    if why := explain.lamps_told_wrong(explained, leave, **options):
-        return why
     if agreement.fits(explained.result):
         return []
     if task.lobes:
@@ -195,11 +197,11 @@ def _told_wrong(task, explained, leave, options) -> list:
     return refine.flipped(task.view(), task.factors, task.found, explained)
 
 
-def _missing(task, explained) -> list:
+def _missing(task, explained, audit) -> list:
     """[Why] of things that the model has not: light that they take may pass for a lamp's."""
     from lib.analysis import strangers
 
-    return strangers.things_missing(task.view(), task.factors, explained, _audit(task, explained))
+    return strangers.things_missing(task.view(), task.factors, explained, audit)
 
 
 def _audit(task, explained) -> Audit:
