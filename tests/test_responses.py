@@ -89,7 +89,7 @@ def test_mixed_colours_are_unmixed(function):
     np.testing.assert_allclose(seen, mean, atol=2e-3)
     h = 1e-5
     for k, step in enumerate(h * np.eye(len(mixing.parameters))):
-        there, back = (tiles.linear(mixing.moved(mixing.parameters + sign * step))[0] for sign in (1, -1))
+        there, back = (tiles.linear(function.moved(function.parameters + sign * step))[0] for sign in (1, -1))
         np.testing.assert_allclose(slope[:, :, k], (there - back) / (2 * h), atol=1e-3)
 
 

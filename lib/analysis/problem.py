@@ -61,28 +61,21 @@ class TilePixels:
     def linear(self, transfer: Transfer):
         """Linear mean of each tile, (T, C), and its derivatives by the transfer function's parameters, (T, C, P).
 
-        It is mean(T^-1(I)), never T^-1(mean(I)): docs/design.md, Jensen.
+        It is mean(T^-1(I)), never T^-1(mean(I)): docs/design.md, Jensen. The derivatives are of the camera's light.
         """
-        mixed, transfer = transfer, transfer.bare
+        bare = transfer.bare
         if self._medians is not None and transfer.kind != "linear":
-            return _unmixed(mixed, transfer.linear(self._medians), transfer.linear_by_parameters(self._medians))
+            return transfer.linear(self._medians), transfer.linear_by_parameters(self._medians)
         levels = self.pixels if self._levels is None or transfer.kind == "linear" else self._levels
-        value, slope = transfer.linear(levels), transfer.linear_by_parameters(levels)
+        value, slope = bare.linear(levels), transfer.linear_by_parameters(levels)
         at = (lambda values: values[self._index]) if levels is self._levels else lambda values: values
         slopes = [self._mean(at(slope[..., k])) for k in range(slope.shape[-1])]
-        mean = self._mean(at(value))
-        return _unmixed(mixed, mean, np.stack(slopes, axis=-1) if slopes else np.zeros((*mean.shape, 0)))
+        mean = transfer.unmixed(self._mean(at(value)))
+        return mean, np.stack(slopes, axis=-1) if slopes else np.zeros((*mean.shape, 0))
 
     def display(self):
         """Mean display value of each tile, (T, C)."""
         return self._mean(self.pixels)
-
-
-def _unmixed(transfer, mean, slope):
-    """The scene's light (T, C) and its slopes (T, C, P), of camera-linear ones."""
-    if not transfer.matrix:
-        return mean, slope
-    return transfer.unmixed(mean), np.einsum("cd,tdp->tcp", np.linalg.inv(transfer.matrix), slope)
 
 
 class Halves(NamedTuple):

@@ -232,6 +232,13 @@ class Gatherer:
             out[start : start + count] = _sums([dr.select(shown, c, 0) for c in B], spp).T / spp
         return out.reshape(H, W, 3)
 
+    def passes(self, opt, labels, groups, K=None, T_cam_world=None) -> Passes:
+        """Independent passes of one view; labels, groups : as in `Passes`."""
+        passes = Passes((*labels.shape, 3), labels, groups)
+        for k in range(opt.passes):
+            passes.add(self.picture(opt.spp, opt.seed + k + 1, K, T_cam_world))
+        return passes
+
     def shown(self) -> np.ndarray:
         """(H, W) number of the polygon at each pixel's centre; -1: nothing."""
         mi, (W, H) = self.mi, self.recipe.size
@@ -252,10 +259,8 @@ def gathered(mi, recipe, folder, opt) -> tuple:
     labels = _numbered(recipe.groups, recipe.polygons, lambda p: p.group)[number]
     lamps = np.isin(labels, [recipe.groups.index(g) + 1 for g in recipe.lamps])
     pure = np.where(lamps | (cv2.dilate(lamps.astype(np.uint8), np.ones((3, 3))) == 0), labels, 0)
-    passes = Passes((*labels.shape, 3), pure, len(recipe.groups))
+    passes = room.passes(opt, pure, len(recipe.groups))
     passes.objects = _numbered(recipe.objects, recipe.polygons, lambda p: p.object)[number]
-    for k in range(opt.passes):
-        passes.add(room.picture(opt.spp, opt.seed + k + 1))
     return passes, labels, opt.passes + 1
 
 
@@ -264,12 +269,9 @@ def gathered_pair(mi, recipe, folder, opt) -> PairPictures:
     room = Gatherer(mi, recipe, folder)
     room.warm(seed=opt.seed)
     labels = _numbered(recipe.groups, recipe.polygons, lambda p: p.group)[room.shown()]
-    passes = {}
-    for side, (lens, T) in recipe.views().items():
-        passes[side] = Passes((*labels.shape, 3), np.zeros_like(labels), 0)
-        for k in range(opt.passes):
-            passes[side].add(room.picture(opt.spp, opt.seed + k + 1, lens.K, T))
-    return PairPictures(passes, labels, opt.passes + 1)
+    none = np.zeros_like(labels)
+    views = {side: room.passes(opt, none, 0, lens.K, T) for side, (lens, T) in recipe.views().items()}
+    return PairPictures(views, labels, opt.passes + 1)
 
 
 def _numbered(names, polygons, key):

@@ -45,20 +45,19 @@ _KINDS = {
 KIND_NAMES = tuple(_KINDS)  # mirrors, gloss, textures
 _RECIPES = _DIFFUSE | _STEREO | _KINDS
 ALL_NAMES = tuple(_RECIPES)
-# room-<seed> and small-<seed> are random rooms; white-<gap in mm>-<seed> and white-shelves-<seed> white ones with a
-# gap; lobed-<seed> random rooms whose lamps throw their light in lobes; pair-<seed> stereo pairs of a size of their own
-RANDOM = {"room": (640, 480), "small": (400, 300), "white": (400, 300), "lobed": (400, 300), "pair": None}
+_SMALL = 400, 300
+RANDOM = {  # by what stands before the seed
+    "room": lambda seed: random_room(seed, size=(640, 480)),
+    "small": lambda seed: random_room(seed, size=_SMALL),
+    "white": lambda seed: white_room(seed, size=_SMALL),  # <gap in mm>-<seed> and shelves-<seed>: with a narrow gap
+    "lobed": lambda seed: lobed_room(seed, size=_SMALL),  # its lamps throw their light in lobes
+    "pair": random_pair,  # stereo, of a size of its own
+}
 
 
 def make(name) -> Recipe:
     """The recipe of one scene.  Raises KeyError for a name that is neither in `ALL_NAMES` nor a random room's."""
     kind, _, seed = name.partition("-")
-    if kind == "white" and seed:
-        return replace(white_room(seed, size=RANDOM[kind]), name=name)
-    if kind == "lobed" and seed:
-        return replace(lobed_room(seed, size=RANDOM[kind]), name=name)
-    if kind == "pair" and seed:
-        return random_pair(seed)
     if kind in RANDOM and seed:
-        return replace(random_room(seed, size=RANDOM[kind]), name=name)
+        return replace(RANDOM[kind](seed), name=name)
     return _RECIPES[name]()
