@@ -27,10 +27,20 @@ NORMAL_MEDIAN = 0.455  # median of the square of a normal variable
 
 @dataclass(frozen=True)
 class Evidence:
-    """nats : log-likelihood of the held-out tiles;  discrepancy : display, beyond noise, that makes them most likely"""
+    """nats : log-likelihood of the held-out tiles;  discrepancy : display, beyond noise, that makes them most likely
+
+    each : (T,) nats of each tile;  residual, variance : (T, C), (T, 1) or (T, C) display, of the held-out tiles
+    """
 
     nats: float
     discrepancy: float
+    each: np.ndarray
+    residual: np.ndarray
+    variance: np.ndarray
+
+    def on(self, tiles) -> Evidence:
+        """Of some tiles alone."""
+        return likelihood(self.residual[tiles], self.variance[tiles])
 
 
 def held_out(problem: Problem, residual, J, gradient, H) -> np.ndarray:
@@ -60,16 +70,24 @@ def likelihood(residual, variance) -> Evidence:
     """Of residuals (T, C) with the noise's variance, (T, C) or (T, 1), and the discrepancy that suits them best."""
     from scipy.special import gammaln
 
-    nu, best = FREEDOM, Evidence(-np.inf, 0.0)
+    nu, best = FREEDOM, None
     constant = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(np.pi * nu)
     square = residual**2
     for discrepancy in DISCREPANCIES:
         width = variance + discrepancy**2
         each = constant - 0.5 * np.log(width) - (nu + 1) / 2 * np.log1p(square / (nu * width))
-        nats = float(each.mean(axis=1).sum())
-        if nats > best.nats:
-            best = Evidence(nats, float(discrepancy))
+        each = each.mean(axis=1)
+        nats = float(each.sum())
+        if best is None or nats > best.nats:
+            best = Evidence(nats, float(discrepancy), each, residual, variance)
     return best
+
+
+def gain(problem: Problem, after: Evidence, before: Evidence) -> tuple[float, float]:
+    """Nats that one explanation has more than another: on all tiles, and on those outside the group that gains most."""
+    most = np.bincount(problem.tile_group, after.each - before.each).argmax()
+    others = problem.tile_group != most
+    return after.nats - before.nats, after.on(others).nats - before.on(others).nats
 
 
 def noise_variance(problem: Problem, at: Equations) -> np.ndarray:

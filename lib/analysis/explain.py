@@ -255,7 +255,7 @@ def _climbed(best: Candidate, leave: Leave):
             candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
         if matrix.NAME in wanted:
             mixed = _settled(matrix.fitted(best), best, leave)
-            candidates |= {matrix.NAME: mixed} if matrix.is_physical(mixed) else {}
+            candidates |= {matrix.NAME: mixed} if matrix.is_of_the_camera(mixed, best) else {}
         if glow.NAME in wanted:
             candidates[glow.NAME] = _settled(_in_glow(best), best, leave)
         better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from lib.analysis.candidates import NATS, Candidate
-from lib.analysis.evidence import promised
+from lib.analysis.evidence import Evidence, gain, promised
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import CauseTerms
 
@@ -49,13 +49,27 @@ def promise(found: Candidate) -> float:
     """Nats that one step towards a camera that mixes colours brings."""
     cause = _cause(found.result.at, ())
     prior = np.diag(1 / cause.spread**2)
-    return promised(found.problem, found.result.at, cause.columns, prior=prior).nats - found.evidence.nats
+    return _of_several(found, promised(found.problem, found.result.at, cause.columns, prior=prior))
 
 
-def is_physical(found: Candidate) -> bool:
-    """A camera and its screen mix colours no more than this; what mixes more is something else that bent to it."""
-    own = found.problem.cause.of(NAME)
-    M = stepped(found.result.state.transfer.matrix, found.result.state.cause[own])
+def _of_several(found: Candidate, mixed: Evidence) -> float:
+    """Nats that mixing brings; where hardly more than one group gains, what the others do: a camera mixes for all."""
+    total, others = gain(found.problem, mixed, found.evidence)
+    return total if others >= NATS else others
+
+
+def is_of_the_camera(mixed: Candidate, found: Candidate) -> bool:
+    """It mixes colours of all groups, and no more than cameras do: else something else bent to it.
+
+    found : the fit without mixing
+    """
+    return is_physical(mixed) and _of_several(found, mixed.evidence) >= NATS
+
+
+def is_physical(mixed: Candidate) -> bool:
+    """A camera and its screen mix colours no more than this."""
+    own = mixed.problem.cause.of(NAME)
+    M = stepped(mixed.result.state.transfer.matrix, mixed.result.state.cause[own])
     return bool(np.abs(M - np.eye(3)).max() <= MOST)
 
 
