@@ -16,6 +16,7 @@ from lib.analysis.problem import Problem, Result
 # bring up to .07 nats per tile for a free curve, photographs that went through one 1.1 and more.
 NATS = 10.0
 NATS_PER_TILE = 0.02 / 9
+MIXING = 6  # free numbers of a camera that mixes colours
 USUAL = 3  # free numbers that an explanation has more
 ROUGH = {"tolerance": 1e-3, "max_iterations": 60}  # of fits that are only compared; valleys of white rooms are long
 
@@ -45,8 +46,9 @@ class Candidate:
 
     @property
     def complexity(self):
-        """How many free numbers its transfer function has."""
-        return self.problem.fit_transfer * len(self.problem.transfer.parameters)
+        """How many free numbers its transfer function has, and the mixing of colours before it."""
+        transfer = self.problem.transfer
+        return self.problem.fit_transfer * len(transfer.parameters) + MIXING * bool(transfer.matrix)
 
     @property
     def typical(self):

@@ -13,7 +13,7 @@ import numpy as np
 
 from lib.analysis import glow, lamp_lobe, matrix, responses, vignetting
 from lib.analysis.agreement import are_told, fits, freed, in_doubt, lamps_of, out_of_range
-from lib.analysis.candidates import NATS, Candidate, enough
+from lib.analysis.candidates import MIXING, NATS, USUAL, Candidate, enough
 from lib.analysis.equations import Unknowns
 from lib.analysis.facts import USUAL_GAMMA
 from lib.analysis.gather import Gathered
@@ -316,5 +316,5 @@ def _promising(found: Candidate, leave: Leave, tried) -> dict:
         promises[glow.NAME] = glow.promise(found)
     if leave.response and matrix.NAME not in tried and matrix.may(found):
         promises[matrix.NAME] = matrix.promise(found)
-    least = enough(found.problem)
-    return {cause: nats for cause, nats in promises.items() if nats >= least}
+    more = {matrix.NAME: MIXING}
+    return {cause: nats for cause, nats in promises.items() if nats >= enough(found.problem, more.get(cause, USUAL))}

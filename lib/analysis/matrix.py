@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lib.analysis.candidates import NATS, Candidate
+from lib.analysis.candidates import MIXING, NATS, Candidate
 from lib.analysis.evidence import Evidence, gain, promised
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import CauseTerms
@@ -17,21 +17,20 @@ from lib.analysis.problem import CauseTerms
 NAME = "matrix"
 SPREAD = 0.1  # standard deviation of each number beside the diagonal before anything is seen
 MOST = 0.6  # of a number off the unit matrix: sensors' own colours are .1 to .5 off, vivid picture styles .1 to .3
-FREE = 6
 ROUNDS, SETTLED = 6, 2e-3
 OFF = [(c, j) for c in range(3) for j in range(3) if j != c]
 OFF_AT = tuple(np.transpose(OFF))
-STEPS = np.zeros((3, 3, FREE))  # D = STEPS @ its numbers beside the diagonal
-STEPS[(*OFF_AT, np.arange(FREE))] = 1
-STEPS[(OFF_AT[0], OFF_AT[0], np.arange(FREE))] = -1
+STEPS = np.zeros((3, 3, MIXING))  # D = STEPS @ its numbers beside the diagonal
+STEPS[(*OFF_AT, np.arange(MIXING))] = 1
+STEPS[(OFF_AT[0], OFF_AT[0], np.arange(MIXING))] = -1
 
 
 def _cause(at, mixing) -> CauseTerms:
     """Numbers beside the diagonal of D, M + D in place of M, whose rows sum to 0; linearised."""
-    B, columns = at.state.B, np.zeros((*at.state.B.shape, FREE))
+    B, columns = at.state.B, np.zeros((*at.state.B.shape, MIXING))
     for k, (c, j) in enumerate(OFF):
         columns[:, c, k] = at.slope[:, c] * (B[:, j] - B[:, c])
-    return CauseTerms((NAME,) * FREE, columns, np.full(FREE, SPREAD), -np.array(mixing or np.eye(3))[OFF_AT])
+    return CauseTerms((NAME,) * MIXING, columns, np.full(MIXING, SPREAD), -np.array(mixing or np.eye(3))[OFF_AT])
 
 
 def may(found: Candidate) -> bool:
