@@ -2,12 +2,12 @@
 """§2.4 Which part of the model the facets show, from where; the pose is then refined on the edges of both photographs.
 
     $ stages/recognise.py --facets facets.json --model model.obj --photograph left.png --photograph-right right.png \
-          --regions left.regions.png --regions-right right.regions.png \
+          --surfaces left.surfaces.png --surfaces-right right.surfaces.png \
           --camera left.cameramodel --camera-right right.cameramodel \
           --posed left.posed.cameramodel --posed-right right.posed.cameramodel --pose pose.json \
           --report recognise.report.json
 
-reads   facets, model; photographs, their regions and their pinhole cameras in the pair's frame
+reads   facets, model; photographs, their surfaces and their pinhole cameras in the pair's frame
         orientation      the pair has no scale: the model gives it
         calibration      how well the cameras' projections are known
 writes  posed, posed-right   the cameras in the model's frame
@@ -26,7 +26,7 @@ from lib.core import stage
 def options():
     parser = stage.parser(
         __doc__,
-        reads="facets model photograph photograph_right regions regions_right camera camera_right",
+        reads="facets model photograph photograph_right surfaces surfaces_right camera camera_right",
         may_read="orientation calibration",
         writes="posed posed_right pose",
     )
@@ -108,18 +108,18 @@ def main(opt):
 
 
 def read_sides(opt):
-    """[Side, Side]: cameras, photographs and regions, their sizes checked against each other."""
+    """[Side, Side]: cameras, photographs and surfaces, their sizes checked against each other."""
     from lib.given import cameras, image, view
     from lib.vision.refinement import rig
 
-    left = opt.camera, opt.photograph, opt.regions
-    right = opt.camera_right, opt.photograph_right, opt.regions_right
+    left = opt.camera, opt.photograph, opt.surfaces
+    right = opt.camera_right, opt.photograph_right, opt.surfaces_right
     sides = [
-        rig.Side(cameras.read_cameramodel(camera), image.read_photograph(photograph), image.read_labels(regions))
-        for camera, photograph, regions in (left, right)
+        rig.Side(cameras.read_cameramodel(camera), image.read_photograph(photograph), image.read_labels(surfaces))
+        for camera, photograph, surfaces in (left, right)
     ]
-    for (camera, photograph, regions), side in zip((left, right), sides, strict=True):
-        for path, values in ((photograph, side.photograph.values), (regions, side.regions)):
+    for (camera, photograph, surfaces), side in zip((left, right), sides, strict=True):
+        for path, values in ((photograph, side.photograph.values), (surfaces, side.surfaces)):
             if problem := view.size_problem(path, values, side.camera, camera):
                 raise stage.BadInput(problem)
     return sides

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""§2.3 Reconstruction: the plane of each matched pair of regions, with its covariance, and the region's outline on it.
+"""§2.3 Reconstruction: the plane of each matched pair of surfaces, with its covariance, and the surface's outline.
 
     $ stages/reconstruct.py --photograph left.png --photograph-right right.png \\
-          --regions left.regions.png --regions-right right.regions.png --camera left.cameramodel \\
+          --surfaces left.surfaces.png --surfaces-right right.surfaces.png --camera left.cameramodel \\
           --camera-right right.cameramodel --matches matches.csv --facets facets.json --mesh facets.ply
 
-reads   photographs, regions, cameras (pinholes, extrinsics in one frame), matches
+reads   photographs, surfaces, cameras (pinholes, extrinsics in one frame), matches
         orientation    where the pair has no scale
 writes  facets         planes, polygons, covariances in the left camera's frame, and what was refused, and why
         mesh           the same to look at
@@ -22,7 +22,7 @@ from lib.core import stage
 def options():
     parser = stage.parser(
         __doc__,
-        reads="photograph photograph_right regions regions_right camera camera_right matches",
+        reads="photograph photograph_right surfaces surfaces_right camera camera_right matches",
         may_read="orientation",
         writes="facets mesh",
     )
@@ -46,7 +46,9 @@ def main(opt):
             facets.warm_up()
         with report.timing("read"):
             pair, values, labels = matching.read_pair(
-                (opt.camera, opt.camera_right), (opt.photograph, opt.photograph_right), (opt.regions, opt.regions_right)
+                (opt.camera, opt.camera_right),
+                (opt.photograph, opt.photograph_right),
+                (opt.surfaces, opt.surfaces_right),
             )
             left, right = read_matched_labels(opt.matches, *labels)
             unit = facets_file.unit_of(opt.orientation)
@@ -62,6 +64,7 @@ def main(opt):
             )
 
         report["facets"], report["refused"] = len(found), outlines.reasons(refused)
+        report["loose"] = sum(x.loose for x in found)
         report["side_sigma_px"] = side_sigma_px
         report["covered"] = matching.share(labels[0], [x.left_label for x in found])
         report["unit"] = unit

@@ -5,9 +5,9 @@
           --reports build/office/*.report.json --page report.html --report report.report.json
 
 reads   photograph, rendered, group, object, facet, hidden, trusted, depth, legend, materials, scores, comparison,
-        reports; of a pair: photograph, regions, camera (of the pair's frame) and those of the right side; matches,
-        facets, pose, calibration, orientation, model. Each may be missing, and so is its section then. Also the
-        textures that materials.json names, and plan.mk beside the page: what was left out, and why
+        reports; of a pair: photograph, regions, surfaces, camera (of the pair's frame) and those of the right side;
+        matches, facets, pose, calibration, orientation, model. Each may be missing, and so is its section then. Also
+        the textures that materials.json names, and plan.mk beside the page: what was left out, and why
 writes  page          HTML with everything in it, below 6 MB
 """
 
@@ -19,8 +19,8 @@ from lib.core import stage
 
 FILES = (
     "photograph group object facet legend depth trusted hidden materials rendered difference scores scorecard "
-    "comparison photograph_right regions regions_right camera camera_right matches facets pose calibration "
-    "orientation model"
+    "comparison photograph_right regions regions_right surfaces surfaces_right camera camera_right matches facets pose "
+    "calibration orientation model"
 )
 
 

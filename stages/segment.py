@@ -41,7 +41,7 @@ def options():
         type=cost,
         default="auto",
         metavar="LAMBDA",
-        help="cost of one differing neighbour pair, image in [0, 1]; auto: from noise, texture and size of the image",
+        help="cost of one differing neighbour pair, image in [0, 1]; auto: from noise and texture of the image",
     )
     return parser
 
@@ -56,9 +56,8 @@ def main(opt):
             import cv2  # noqa: F401  where lib/ imports late
             import numpy as np
 
-            from lib.core import artefact
             from lib.given import image
-            from lib.vision import segmentation
+            from lib.vision import label_files, segmentation
         with report.excluded("compile"):
             segmentation.segment(np.eye(4)[..., None], 0.01)
 
@@ -82,20 +81,7 @@ def main(opt):
             side: segmentation.energy(pictures[side], labels, weight) for side, labels in regions.items()
         }
         report["noise"] = {side: segmentation.noise(picture) for side, picture in pictures.items()}
-        names = {side: Path(sides[side][1]) for side in regions}
-        files = {
-            side: name.with_suffix(".tif") if regions[side].max() > 65535 else name for side, name in names.items()
-        }
-        with artefact.writing_all(*files.values()) as partials:
-            for partial, labels in zip(partials, regions.values(), strict=True):
-                image.write_labels(partial, labels)
-        for side, name in names.items():
-            wide = name.with_suffix(".tif")
-            if files[side] == name:
-                wide.unlink(missing_ok=True)  # of an earlier run
-            else:
-                name.unlink(missing_ok=True)
-                name.symlink_to(wide.name)
+        label_files.write({sides[side][1]: labels for side, labels in regions.items()})
 
 
 if __name__ == "__main__":

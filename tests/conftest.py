@@ -90,13 +90,13 @@ def pair_files(tmp_path):
         cameras_of = (Q.left, Q.right)
         for side, v, labels, camera, tail in zip(SIDES, values, Q.labels, cameras_of, ("", "-right"), strict=True):
             image.write_png8(tmp_path / f"{side}.png", np.round(255 * v).astype(np.uint8))
-            image.write_png16(tmp_path / f"{side}.regions.png", labels)
+            image.write_png16(tmp_path / f"{side}.surfaces.png", labels)
             cameras.write_cameramodel(tmp_path / f"{side}.cameramodel", camera)
             words += [
                 f"--photograph{tail}",
                 tmp_path / f"{side}.png",
-                f"--regions{tail}",
-                tmp_path / f"{side}.regions.png",
+                f"--surfaces{tail}",
+                tmp_path / f"{side}.surfaces.png",
                 f"--camera{tail}",
                 tmp_path / f"{side}.cameramodel",
             ]

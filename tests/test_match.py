@@ -184,7 +184,7 @@ def test_stage_writes_the_contract(run, pair_files, tmp_path):
     similarity = [float(r["similarity"]) for r in rows]
     assert similarity == sorted(similarity, reverse=True) and 0 < min(similarity) <= max(similarity) <= 1
     report = json.loads((tmp_path / "r.json").read_text())
-    assert report["matched"] == len(rows) and report["regions"] == {"left": 7, "right": 7}
+    assert report["matched"] == len(rows) and report["surfaces"] == {"left": 7, "right": 7}
     l, r = read_matched_labels(tmp_path / "matches.csv", *Q.labels)
     assert (l == r).all() and len(l) == len(rows)
 
@@ -203,9 +203,9 @@ def test_stage_refuses(refuses, run, pair_files, files_under, tmp_path):
     assert files_under(tmp_path) == before
     (tmp_path / "right.cameramodel").write_text(good)
     # labels of another size
-    image.write_png16(tmp_path / "right.regions.png", Q.labels[1][:-1])
+    image.write_png16(tmp_path / "right.surfaces.png", Q.labels[1][:-1])
     (line,) = refuses("stages/match.py", *words, "--matches", out)
-    assert "right.regions.png" in line and "480 x 359" in line
+    assert "right.surfaces.png" in line and "480 x 359" in line
     (line,) = refuses("stages/match.py", *words, "--matches", out, "--similarity", "1.5")
     assert "--similarity" in line
     assert not out.exists()

@@ -309,7 +309,7 @@ def chain(tmp_path_factory):
             np.random.default_rng(5), model, Camera(c.K, c.width, c.height, c.T_cam_world @ camera.T_cam_world)
         )
         image.write_png8(folder / f"{name}.png", np.round(255 * shot.values).astype(np.uint8))
-        image.write_png16(folder / f"{name}.regions.png", np.ones((c.height, c.width), np.uint16))
+        image.write_png16(folder / f"{name}.surfaces.png", np.ones((c.height, c.width), np.uint16))
         cameras.write_cameramodel(folder / f"{name}.cameramodel", c)
     return folder, camera
 
@@ -337,8 +337,8 @@ def words(folder, out, **other):
         "model": "model.obj",
         "photograph": "left.png",
         "photograph-right": "right.png",
-        "regions": "left.regions.png",
-        "regions-right": "right.regions.png",
+        "surfaces": "left.surfaces.png",
+        "surfaces-right": "right.surfaces.png",
         "camera": "left.cameramodel",
         "camera-right": "right.cameramodel",
     } | other

@@ -61,6 +61,7 @@ def test_what_is_left_out_and_why(folder):
   without undistort_right: no goal needs it
   without orient: no goal needs it
   without segment: no goal needs it
+  without surfaces: no goal needs it
   without match: no goal needs it
   without reconstruct: no goal needs it
   without recognise: its output is given (left.posed.cameramodel)
@@ -82,7 +83,7 @@ def test_a_model_in_millimetres_is_read_in_metres_by_all_others(folder):
     assert "units" not in plan(folder).planned
 
 
-SEE = ["segment", "match", "reconstruct", "recognise"]
+SEE = ["segment", "surfaces", "match", "reconstruct", "recognise"]
 BENT = ["undistort", "undistort_right"]
 FIT = ["index", "formfactors", "gather", "fit", "compare"]
 
@@ -211,7 +212,7 @@ def test_one_photograph_alone_is_segmented(folder):
 def test_vision_files_of_a_pair_whose_poses_are_given(folder):
     (folder / "right.png").write_bytes(b"\x89PNG")
     cameras(folder, "left.posed", "right.posed")
-    assert chain(folder, "goals: [facets.json]") == ["segment", "match", "reconstruct", "compare"]
+    assert chain(folder, "goals: [facets.json]") == ["segment", "surfaces", "match", "reconstruct", "compare"]
     assert options(folder, "match")["camera"] == "left.posed.cameramodel"
 
 

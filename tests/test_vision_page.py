@@ -59,6 +59,7 @@ def files(office):
         "cameras": pair,
         "photographs": {"left": grey, "right": grey},
         "regions": {"left": regions, "right": regions},
+        "surfaces": {"left": regions, "right": regions},
         "matches": [(2, 1, 0.9)],
         "facets": {"frame": "left", "unit": "m", "facets": [facet]},
         "pose": {
@@ -102,6 +103,8 @@ def test_everything_is_shown(office):
     assert [figure.text for figure in page.section("Regions").all("figcaption")] == [
         "Left: 2 regions",
         "Right: 2 regions",
+        "Left: 2 surfaces",
+        "Right: 2 surfaces",
         "Left: 53 % of the picture is matched",
         "Right: 47 % of the picture is matched",
     ]
@@ -121,9 +124,10 @@ def test_wireframes_are_where_the_model_is(office):
 @pytest.mark.parametrize(
     "missing, titles, pictures",
     [
-        ("photographs", ["Regions", "Facets in space", "Where the camera is"], 4),
-        ("regions", ["Facets in space", "Where the camera is"], 6),
-        ("cameras", ["Regions", "Facets in space", "Where the camera is"], 4),
+        ("photographs", ["Regions", "Facets in space", "Where the camera is"], 6),
+        ("regions", ["Regions", "Facets in space", "Where the camera is"], 10),
+        ("surfaces", ["Regions", "Facets in space", "Where the camera is"], 8),
+        ("cameras", ["Regions", "Facets in space", "Where the camera is"], 6),
     ],
 )
 def test_what_is_missing_is_left_out(office, missing, titles, pictures):
@@ -135,7 +139,7 @@ def test_no_match_no_facet_no_pose(office):
     page = built(seen(office, matches=[], facets={"frame": "left", "unit": "m", "facets": []}, pose=None))
     assert page.titles == ["Regions"]
     captions = [caption.text for caption in page.section("Regions").all("figcaption")]
-    assert captions[2:] == ["Left: 0 % of the picture is matched", "Right: 0 % of the picture is matched"]
+    assert captions[4:] == ["Left: 0 % of the picture is matched", "Right: 0 % of the picture is matched"]
 
 
 def test_other_poses_are_said(office):

@@ -284,9 +284,13 @@ def _materials(task, explained, audit, judged, report) -> Answer:
     climb, answer = done.climb, _answer(explained, audit, judged)
     if not agreement.fits(climb.result) and not audit.given:
         return answer  # what is wrong is not one material: nothing is made up from it
-    audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
     report["ladder"] |= ascent.summary(done)
     answer.warnings = ascent.warnings(done)
+    if all(place.rung == "diffuse" for place in climb.places.values()):
+        # the same light, but with what its causes leave unsure, which the ladder takes as they are
+        audit.doubt(explained.problem, explained.result, judged)
+        return answer
+    audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
     answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
     return answer
 

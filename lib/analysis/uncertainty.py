@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from lib.analysis.equations import Equations
+from lib.analysis.evidence import steady
 from lib.analysis.folds import FOLDS, folds
 from lib.analysis.problem import MISFIT, Problem, Result, weights
 from lib.analysis.transport import TileLight
@@ -37,6 +38,8 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         result.shares[cause] = typical
     if problem.doubted is not None:
         cov = cov + normal.beside(problem.doubted)
+    if at.layout.cause:
+        cov = cov + normal.without_each_group(problem.tile_group, slice(at.layout.responding.stop, None))
     if result.misfit > MISFIT:
         cov = cov * result.misfit**2  # what noise does not explain may be anything: every value is as uncertain
     sigma = np.maximum(np.sqrt(np.maximum(np.diag(cov), 0)), normal.loose)
@@ -60,8 +63,8 @@ class _Normal:
         self.weight = weights(problem, at.residual).reshape(-1)
         self.prior = at.prior()[1]
         self.pixel = np.repeat(problem.tile_noise, problem.channels)
-        H = self.J.T @ (self.weight[:, None] * self.J) + self.prior
-        self.inverse, self.loose = _inverse(H, self.theta)
+        self.H = self.J.T @ (self.weight[:, None] * self.J) + self.prior
+        self.inverse, self.loose = _inverse(self.H, self.theta)
 
     def _by_tile(self, rows):
         """(T C, n) -> (T, n): the channels of one tile go together."""
@@ -92,6 +95,24 @@ class _Normal:
         known = C.T @ weighted - (self.J.T @ weighted).T @ along + np.diag(1 / terms.spread**2)
         off = along @ np.linalg.solve(known, weighted.T @ self.at.residual.reshape(-1))
         return along @ np.linalg.solve(known, along.T) + np.outer(off, off)
+
+    def without_each_group(self, group, own):
+        """Second moments (n, n) of what the parameters `own` do, and all others with them, where one group after
+        another is left out: what is wrong with a group's light is common to its tiles, and a cause of the whole picture
+        may hang on that (the jackknife).
+
+        group : (T,) of each tile;  own : slice
+        """
+        rest = np.delete(np.arange(self.n), own)
+        follow = np.eye(self.n)[:, own]
+        follow[rest] = -steady(self.H[np.ix_(rest, rest)], self.H[rest, own])
+        moved = []
+        for tiles in (group == g for g in np.unique(group)):
+            rows = np.repeat(tiles, self.channels)
+            J, weighted = self.J[rows], self.weight[rows, None] * self.J[rows]
+            step = steady(self.H - J.T @ weighted, weighted.T @ self.at.residual.reshape(-1)[rows])
+            moved.append(follow @ step[own])
+        return np.transpose(moved) @ np.array(moved)
 
     def push(self, dB):
         """(n,) change of the parameters that a change dB (T, C) of the synthesis causes."""

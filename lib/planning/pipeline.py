@@ -78,8 +78,9 @@ class Stage:
         )
         if "photograph_right" in may_read and reads:
             if scene.given("right.png|jpg|tif|exr"):
-                reads["photograph_right"] = may_read.pop("photograph_right")
+                reads |= {option: may_read.pop(option) for option in tuple(may_read) if option.endswith("_right")}
             else:
+                may_read = _without_right(may_read)
                 writes, may_write = _without_right(writes), _without_right(may_write)
         return replace(self, reads=reads, may_read=may_read, writes=writes, may_write=may_write)
 

@@ -21,7 +21,7 @@ READERS = {
     "materials": materials.read,
     "legend": lambda path: record.read(path, records.Legend),
     "scores": lambda path: record.read(path, records.Scores),
-    **dict.fromkeys(("group", "object", "facet", "mirror", "regions"), image.read_labels),
+    **dict.fromkeys(("group", "object", "facet", "mirror", "surfaces"), image.read_labels),
     "depth": image.read_exr,
     "model": model.load,
     "calibration": lambda path: record.read(path, records.Calibration),
@@ -31,7 +31,7 @@ READERS = {
     "pose": lambda path: record.read(path, records.Pose),
 }
 # of the vision half: read only where truth says something of it
-VISION = ("model", "calibration", "lens", "lens_right", "camera", "camera_right", "posed", "regions", "facets", "pose")
+VISION = ("model", "calibration", "lens", "lens_right", "camera", "camera_right", "posed", "surfaces", "facets", "pose")
 IMAGES = ("group", "object", "mirror", "depth")  # compared pixel by pixel
 TRUE_FILES = {
     "materials": "materials.json",
@@ -52,7 +52,7 @@ class Answers:
     """Each may be None: there is no such file.
 
     group, object, facet : (H, W) index + 1;  mirror : (H, W) index + 1 of the group that a mirror shows
-    depth : (H, W) m, 0 = nothing;  regions : (H, W) labels from 1
+    depth : (H, W) m, 0 = nothing;  surfaces : (H, W) labels from 1
     lens, lens_right : Lens;  camera, camera_right : pinholes in the pair's frame;  posed : in the model's frame
     disparity : (H, W) px, NaN where it is not known; there is only a true one
     """
@@ -72,7 +72,7 @@ class Answers:
     camera: cameras.Camera | None = None
     camera_right: cameras.Camera | None = None
     posed: cameras.Camera | None = None
-    regions: np.ndarray | None = None
+    surfaces: np.ndarray | None = None
     facets: facets_file.Facets | None = None
     pose: records.Pose | None = None
     disparity: np.ndarray | None = None

@@ -12,8 +12,10 @@ facets.angle_deg                 median over the facets that lie on the model: o
 facets.distance_relative         the same of the distance at the facet's middle
 facets.compared                  how many they are
 facets.within_95                 share of the planes inside the 95 % ellipsoid of their covariance
-facets.wrong                     share of the facets off by WRONG_DEG or WRONG_DISTANCE from the facet that they show
-disparity.median_px              of the planes inside their left regions
+facets.wrong                     share of their area, loose ones apart: off by WRONG_DEG or WRONG_DISTANCE and outside
+                                 their 99.9 % ellipsoid, or of a surface that spans two planes
+facets.loose                     share of all facets' area that is of loose ones
+disparity.median_px              of the planes inside their left surfaces
 disparity.bad_1px                share of these pixels that are off by more than 1 px
 disparity.covered                share of the picture that they cover
 """
@@ -29,7 +31,9 @@ from lib.verdict.answers import Answers
 from lib.verdict.records import Calibration
 
 WRONG_DEG, WRONG_DISTANCE = 5, 0.05  # of a facet that is counted as wrong
-CHI2_3 = 7.814727903251179  # 95 % of chi-square with 3 degrees of freedom
+CHI2_3, CHI2_3_999 = 7.814727903251179, 16.26623619623813  # 95, 99.9 % of chi-square with 3 degrees of freedom
+SPANNING = 0.9  # of a surface on one plane; with less it spans two
+COPLANAR = 1e-4, 0.01  # 1 - cosine between the normals, m between the planes
 
 
 def angle_deg(R):
@@ -115,40 +119,62 @@ def pair(T, T_true):
     ]
 
 
-def planes(facets, T_true, model, facet_image, regions, scale=1.0):
-    """Reconstructed planes against those of the model's facets that their regions show.
+def planes(facets, T_true, model, facet_image, surfaces, scale=1.0):
+    """Reconstructed planes against those of the model's facets that their surfaces show.
 
     facets : [facets_file.Facet], in the left frame     T_true : (4, 4) world to left camera
-    facet_image : (H, W) model facet + 1 per pixel  regions : (H, W) left labels     scale : metres per unit of facets
+    facet_image : (H, W) model facet + 1 per pixel  surfaces : (H, W) left labels     scale : metres per unit of facets
     """
-    deviations = []
+    deviations, area, wrong, loose = [], [], [], []
     for f in facets:
-        shown = facet_image[regions == f.left_label]
+        shown = facet_image[surfaces == f.left_label]
         count = np.bincount(shown) if shown.size else np.zeros(1, int)
         count[0] = 0
         best = int(count.argmax())
+        if not count[best]:
+            continue
+        deviation = _plane_deviation(f, _plane_seen(model, best - 1, T_true, scale))
+        on_plane = sum(count[k] for k in np.flatnonzero(count) if _coplanar(model, k - 1, best - 1))
+        area.append(shown.size)
+        wrong.append(on_plane < SPANNING * count.sum() or deviation.is_wrong)
+        loose.append(bool(f.loose))
         # a region that is not of one facet is segmentation's error, not the plane's
-        if count[best] >= 0.8 * max(shown.size, 1):
-            deviations.append(_plane_deviation(f, _plane_seen(model, best - 1, T_true, scale)))
+        if count[best] >= 0.8 * shown.size:
+            deviations.append(deviation)
     if not deviations:
         return []
-    wrong = [d.angle_deg > WRONG_DEG or d.distance > WRONG_DISTANCE for d in deviations]
-    inside = [d.inside for d in deviations if d.inside is not None]
+    area, wrong, loose = np.array(area, float), np.array(wrong), np.array(loose)
+    known = [d.chi2 <= CHI2_3 for d in deviations if d.chi2 is not None]
     errors = [
         ("facets.angle_deg", float(np.median([d.angle_deg for d in deviations])), "deg"),
         ("facets.distance_relative", float(np.median([d.distance for d in deviations])), "1"),
-        ("facets.wrong", float(np.mean(wrong)), "1"),
+        ("facets.wrong", float(area[wrong & ~loose].sum() / max(area[~loose].sum(), 1)), "1"),
+        ("facets.loose", float(area[loose].sum() / area.sum()), "1"),
         ("facets.compared", len(deviations), "1"),
     ]
-    return errors + ([("facets.within_95", float(np.mean(inside)), "1")] if inside else [])
+    return errors + ([("facets.within_95", float(np.mean(known)), "1")] if known else [])
+
+
+def _coplanar(model, a, b):
+    """Two facets of a model lie on one plane."""
+    turned, apart = COPLANAR
+    same = model.facet_normal[a] @ model.facet_normal[b]
+    offset = abs(model.facet_offset[a] - np.sign(same) * model.facet_offset[b])
+    return 1 - abs(same) < turned and offset < apart
 
 
 class PlaneDeviation(NamedTuple):
-    """distance : relative, at the facet's middle;  inside : the 95 % ellipsoid, None without a covariance"""
+    """distance : relative, at the facet's middle;  chi2 : of the covariance, None without one"""
 
     angle_deg: float
     distance: float
-    inside: bool | None
+    chi2: float | None
+
+    @property
+    def is_wrong(self):
+        """By far, and its covariance does not know."""
+        far = self.angle_deg > WRONG_DEG or self.distance > WRONG_DISTANCE
+        return far and (self.chi2 is None or self.chi2 > CHI2_3_999)
 
 
 def _plane_seen(model, facet, T_true, scale):
@@ -164,20 +190,20 @@ def _plane_deviation(f, true_plane):
     m = n0 / d0
     ray = np.mean(np.asarray(f.polygon, float), axis=0)
     ray = ray / ray[2]
-    inside = None
+    chi2 = None
     if f.covariance is not None:
         e = m - m_true
-        inside = float(e @ np.linalg.pinv(np.asarray(f.covariance, float)) @ e) <= CHI2_3
+        chi2 = float(e @ np.linalg.pinv(np.asarray(f.covariance, float)) @ e)
     angle_deg = np.degrees(np.arccos(np.clip(abs(n @ n0), 0, 1)))
-    return PlaneDeviation(angle_deg, abs((ray @ m_true) / (ray @ m) - 1), inside)
+    return PlaneDeviation(angle_deg, abs((ray @ m_true) / (ray @ m) - 1), chi2)
 
 
-def disparity(facets, left, right, regions, true):
-    """Disparity x_left - x_right of the planes inside their regions. true : (H, W) px, NaN where it is unknown"""
+def disparity(facets, left, right, surfaces, true):
+    """Disparity x_left - x_right of the planes inside their surfaces. true : (H, W) px, NaN where it is unknown"""
     T = right.T_cam_world @ np.linalg.inv(left.T_cam_world)
     found = np.full(true.shape, np.nan)
     for f in facets:
-        here = regions == f.left_label
+        here = surfaces == f.left_label
         y, x = np.nonzero(here)
         v = left.directions(np.column_stack([x, y]))
         m = np.asarray(f.plane.n, float) / f.plane.d
@@ -240,10 +266,10 @@ def _T_right_left(answers: Answers):
 
 
 def _disparity(found: Answers, true: Answers):
-    needed = (true.disparity, found.facets, found.camera, found.camera_right, found.regions)
+    needed = (true.disparity, found.facets, found.camera, found.camera_right, found.surfaces)
     if any(part is None for part in needed):
         return []
-    return disparity(found.facets.facets, found.camera, found.camera_right, found.regions, true.disparity)
+    return disparity(found.facets.facets, found.camera, found.camera_right, found.surfaces, true.disparity)
 
 
 def _pose(found: Answers, true: Answers):
@@ -265,10 +291,10 @@ def _pinhole(camera):
 
 
 def _planes(found: Answers, true: Answers):
-    if any(part is None for part in (found.facets, found.model, found.facet, found.regions)):
+    if any(part is None for part in (found.facets, found.model, found.facet, found.surfaces)):
         return []
     scale = found.pose.scale if found.pose else None
-    if found.facet.shape != found.regions.shape or not (found.facets.unit == "m" or scale):
+    if found.facet.shape != found.surfaces.shape or not (found.facets.unit == "m" or scale):
         return []
     facets, T_true = found.facets.facets, true.posed.T_cam_world
-    return planes(facets, T_true, found.model, found.facet, found.regions, scale or 1.0)
+    return planes(facets, T_true, found.model, found.facet, found.surfaces, scale or 1.0)

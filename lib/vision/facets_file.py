@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lib.core import artefact, record
-from lib.core.record import list_of, matrix, number, numbers, part, told, word
+from lib.core.record import flag, list_of, matrix, number, numbers, part, told, word
 from lib.core.stage import BadInput
 
 UNITS = ("m", "baseline")
@@ -30,7 +30,10 @@ class Plane:
 
 @dataclass(frozen=True)
 class Facet:
-    """One plane. polygon : (k, 3) in the left camera's frame;  covariance : (3, 3) of m = n / d;  labels : from 1"""
+    """One plane. polygon : (k, 3) in the left camera's frame;  covariance : (3, 3) of m = n / d;  labels : from 1
+
+    by : what told it, "contour", "texture" or "both";  loose : the tilt's sigma exceeds 4 degrees
+    """
 
     left_label: int | None = told(number(), needed="a label")
     right_label: int | None = told(number())
@@ -39,6 +42,8 @@ class Facet:
     overlap: float | None = told(number())
     covariance: tuple | None = told(matrix(3, 3))
     rms_px: float | None = told(number())
+    by: str | None = told(word("contour", "texture", "both"))
+    loose: bool | None = told(flag)
 
 
 @dataclass(frozen=True)
@@ -94,7 +99,10 @@ class SceneFacets:
 def describe(found, refused, unit) -> dict:
     """The content of the file. found, refused : of facets.reconstruct"""
     facets = [
-        Facet(x.left_label, x.right_label, Plane(*x.plane), x.polygon, x.overlap, x.covariance, x.rms_px) for x in found
+        Facet(
+            *(x.left_label, x.right_label, Plane(*x.plane), x.polygon, x.overlap, x.covariance, x.rms_px, x.by, x.loose)
+        )
+        for x in found
     ]
     return record.plain(Facets("left", unit, facets, [Refused(x.left_label, x.right_label, x.why) for x in refused]))
 

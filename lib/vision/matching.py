@@ -146,6 +146,12 @@ def outline_plane(left: RegionArrays, right: RegionArrays, i: int, j: int):
     return np.array(plane), agree, n
 
 
+def another_plane(left: RegionArrays, right: RegionArrays, i: int, j: int, plane) -> float:
+    """The share of the row ends that are off the plane (a, b, c) and agree with one other plane."""
+    rows = min(left.high[i], right.high[j]) - max(left.low[i], right.low[j]) + 1
+    return kernels.another_plane(left, right, i, j, tuple(map(float, plane)), np.empty((2 * max(rows, 1), 3)))
+
+
 def mutual_overlap(regions, views, i: int, j: int, plane, f_px: float) -> float:
     """Intersection over union of left region i and right region j, each taken into the other picture by the plane.
 

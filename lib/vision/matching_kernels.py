@@ -55,6 +55,7 @@ def rows(labels, u, v, low, row_start, ends, whole):
 # -- one pair of regions
 
 TOLERANCE_PX = 1.5  # ends of rows nearer than this agree: the regions are whole pixels
+FAR_PX = 2.0  # those farther off do not
 TILT = 0.3  # a and b of a facet are of this order: the weak prior of narrow regions
 MOST = 1500  # pixels looked at per region for its overlap
 
@@ -97,7 +98,12 @@ def outline_plane(left, right, i, j, work):
 
     work : (n, 3), two for each row that both have
     """
-    n = row_ends(left, right, i, j, work)
+    return plane_of(work, row_ends(left, right, i, j, work))
+
+
+@njit()
+def plane_of(work, n):
+    """The disparity that the first n of work (u, v, disparity) have, as outline_plane's."""
     if n < 3:
         return (0.0, 0.0, 0.0), 0.0, n
     u0, v0 = work[:n, 0].mean(), work[:n, 1].mean()
@@ -129,6 +135,19 @@ def outline_plane(left, right, i, j, work):
         if abs(work[k, 2] - a * (work[k, 0] - u0) - b * (work[k, 1] - v0) - c) <= TOLERANCE_PX:
             agree += 1
     return (a, b, c - a * u0 - b * v0), agree / n, n
+
+
+@njit()
+def another_plane(left, right, i, j, plane, work):
+    """The share of the row ends that are off a plane (a, b, c) and agree with one other plane."""
+    n = row_ends(left, right, i, j, work)
+    off = 0
+    for k in range(n):
+        if abs(work[k, 2] - plane[0] * work[k, 0] - plane[1] * work[k, 1] - plane[2]) > FAR_PX:
+            work[off] = work[k]
+            off += 1
+    _, agree, _ = plane_of(work, off)
+    return agree * off / max(n, 1)
 
 
 @njit()

@@ -35,6 +35,7 @@ STEP = 2.0  # growth of ADMM's coupling per iteration: smaller is slower and bet
 COUPLING = 0.1  # where the coupling starts
 AGREED = 1e-5  # |rows - columns|^2 / |f|^2 that ends ADMM; the polish takes the rest
 SETTLED = 1e-4  # relative fall of E that ends the polish
+ROUNDING = 1 / 255 / math.sqrt(12)  # standard deviation of what 8 bits leave
 SMALLEST = 1 / 24  # side of the smallest facet worth a plane, in sides of the picture
 
 
@@ -102,10 +103,12 @@ def noise(picture) -> float:
     return float(np.sqrt(np.mean((np.median(d, axis=0) / (0.6745 * 6)) ** 2)))
 
 
-def noise_lambda(*pictures) -> float:
+def auto_lambda(*pictures) -> float:
     """The lambda at which noise as strong as the pictures' stays one region, with probability 0.95.
 
-    Texture that fills the picture stays one region too.
+    Texture that fills the picture stays one region too. Shading does not: its levels are cut, and joined again by what
+    lies beside their borders (surfaces.py). A larger lambda leaves less to join, but draws planes together that meet
+    in a faint edge, and nothing takes them apart again (docs/design.md, Surfaces).
 
     A pixel alone saves |Z - mean|^2 = sigma^2 chi^2_C and costs 4 lambda. Among N pixels chi^2_C stays below
     C + 2 sqrt(C t) + 2 t, t = ln N + 3 (Laurent and Massart 2000). Larger shapes are more numerous, about 2.64^p of
@@ -113,7 +116,7 @@ def noise_lambda(*pictures) -> float:
 
     The same holds for blocks of s x s pixels, whose means have the noise sigma_s: they save s^2 sigma_s^2 chi^2_C and
     cost 4 s lambda. White noise asks s times less there, texture more. The largest blocks have the side of the
-    smallest facet (`auto_lambda`).
+    smallest facet. Noise counts at least as what rounding to 8 bits leaves.
     """
     asked = [0.0]
     for f in pictures:
@@ -122,23 +125,11 @@ def noise_lambda(*pictures) -> float:
         while s == 1 or s <= SMALLEST * math.sqrt(H * W):
             h, w = H // s, W // s
             means = f[: h * s, : w * s].reshape(h, s, w, s, C).mean((1, 3))
+            sigma = noise(means) if s > 1 else max(noise(means), ROUNDING)
             t = math.log(h * w) + 3
-            asked.append(s * noise(means) ** 2 * (C + 2 * math.sqrt(C * t) + 2 * t) / 4)
+            asked.append(s * sigma**2 * (C + 2 * math.sqrt(C * t) + 2 * t) / 4)
             s *= 2
     return max(asked)
-
-
-def auto_lambda(*pictures) -> float:
-    """One lambda for all pictures: the larger of what noise and texture ask for (`noise_lambda`) and what shading does.
-
-    A square facet of side l and contrast d is kept while C l^2 d^2 > 4 l lambda. A ramp of contrast D over it is cut
-    in two once C l^2 D^2 / 16 > l lambda. So whatever lambda is, a facet that just stands out, by d, is whole while
-    its shading is below 2 d: lambda only says for which d. We take d = 0.06, which light 1.3 times as strong makes on
-    mid-grey at gamma 2.2, on the SMALLEST facet.
-    """
-    C = max(p.shape[2] for p in pictures)
-    side = SMALLEST * math.sqrt(max(p.shape[0] * p.shape[1] for p in pictures))
-    return max(noise_lambda(*pictures), C * side * 0.06**2 / 4)
 
 
 def _moved(f, turned, labels, n, weight):

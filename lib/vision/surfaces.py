@@ -5,7 +5,7 @@ the right photograph. Such a border has no step: beside it both sides are one ra
 pixels of both sides are fitted by a common gradient and a step between them (least squares). Neighbours merge, those
 with the fewest steps first, while less than a quarter of their border shows one.
 
-A region that spans two planes draws them together. At the lambda of noise alone (segmentation.noise_lambda) there are
+A region that spans two planes draws them together. At the lambda of noise alone (segmentation.auto_lambda) there are
 fewest of those, and merging takes away what it cuts too much: tests/bench, surfaces.
 """
 
@@ -24,7 +24,10 @@ SHORTEST = 8  # px of a border that says anything
 
 
 def surfaces(picture, labels) -> np.ndarray:
-    """(H, W) int32 labels from 1 of the surfaces of (H, W, C) picture's regions (H, W), labels from 1."""
+    """(H, W) int32: each pixel's surface, by the smallest label of its regions (data/SCENE.md, section 4).
+
+    picture : (H, W, C) in [0, 1];  labels : (H, W) of its regions, from 1
+    """
     f = np.ascontiguousarray(picture, np.float64)
     labels = np.ascontiguousarray(labels, np.int64)
     stepped, length = _borders(f, labels)
@@ -49,7 +52,7 @@ def _borders(f, labels):
 
 
 def _merged(stepped, length, n):
-    """(n + 1,) int32 new label of each region."""
+    """(n + 1,) int32 smallest label of the regions that each is merged with."""
     around = [{} for _ in range(n + 1)]  # label -> [px with a step, px]
     for (a, b), px in length.items():
         around[a][b] = around[b][a] = [stepped[a, b], px]
@@ -76,5 +79,12 @@ def _merged(stepped, length, n):
     for k in range(n + 1):
         while into[k] != into[into[k]]:
             into[k] = into[into[k]]
-    numbers = np.unique(into[1:], return_inverse=True)[1] + 1
-    return np.append(0, numbers).astype(np.int32)
+    smallest = np.full(n + 1, n, np.int32)
+    np.minimum.at(smallest, into, np.arange(n + 1, dtype=np.int32))
+    return smallest[into]
+
+
+def warm_up():
+    """Compile, or load, the kernels."""
+    picture = np.linspace(0, 1, 24 * 24).reshape(24, 24, 1)
+    surfaces(picture, 1 + (np.arange(24) >= 12) * np.ones((24, 1), np.int64))

@@ -41,24 +41,9 @@ def steps(f, labels, rows, first, count):
     A, F = np.empty((most, 4)), np.empty((most, C))
     for w in range(len(first)):
         mine = rows[first[w] : first[w] + count[w]]
-        a, b = mine[0, 0], mine[0, 1]
-        y0, y1 = max(mine[:, 3].min() // 2 - int(FAR), 0), min(mine[:, 3].max() // 2 + int(FAR) + 2, H)
-        x0, x1 = max(mine[:, 4].min() // 2 - int(FAR), 0), min(mine[:, 4].max() // 2 + int(FAR) + 2, W)
-        n, of_b = 0, 0
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                label = labels[y, x]
-                if (label != a and label != b) or n == most:
-                    continue
-                d2 = np.inf
-                for k in range(count[w]):
-                    dy, dx = y - mine[k, 3] / 2, x - mine[k, 4] / 2
-                    d2 = min(d2, dy * dy + dx * dx)
-                if NEAR * NEAR <= d2 <= FAR * FAR:
-                    A[n, 0], A[n, 1], A[n, 2], A[n, 3] = 1, y - mine[0, 3] / 2, x - mine[0, 4] / 2, label == b
-                    F[n] = f[y, x]
-                    of_b += label == b
-                    n += 1
+        n, of_b = sides(f, labels, mine, True, A, F)
+        if of_b < FEWEST or n - of_b < FEWEST:  # what lies behind a thin region: its next borders would be seen too
+            n, of_b = sides(f, labels, mine, False, A, F)
         if of_b < FEWEST or n - of_b < FEWEST:
             continue
         D, values = np.ascontiguousarray(A[:n, :4]), np.ascontiguousarray(F[:n])
@@ -73,3 +58,40 @@ def steps(f, labels, rows, first, count):
             out[w, 1, c] = np.sqrt((left[:, c] ** 2).sum() / (n - 4) * inverse[3, 3])
             out[w, 2, c] = np.sqrt(fit[1, c] ** 2 + fit[2, c] ** 2)
     return out
+
+
+@njit()
+def sides(f, labels, mine, own, A, F):
+    """The pixels on both sides of a window's border: their number, and how many are on the side of b.
+
+    mine : its rows;  own : only pixels of a and b, else of any label, on the side of the nearest row
+    A : (n, 4) out, (1, y, x, is on the side of b);  F : (n, C) out
+    """
+    H, W, C = f.shape
+    a, b = mine[0, 0], mine[0, 1]
+    y0, y1 = max(mine[:, 3].min() // 2 - int(FAR), 0), min(mine[:, 3].max() // 2 + int(FAR) + 2, H)
+    x0, x1 = max(mine[:, 4].min() // 2 - int(FAR), 0), min(mine[:, 4].max() // 2 + int(FAR) + 2, W)
+    n, of_b = 0, 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            label = labels[y, x]
+            if n == len(A) or (own and label != a and label != b):
+                continue
+            d2, at = np.inf, 0
+            for k in range(len(mine)):
+                dy, dx = y - mine[k, 3] / 2, x - mine[k, 4] / 2
+                if dy * dy + dx * dx < d2:
+                    d2, at = dy * dy + dx * dx, k
+            if not NEAR * NEAR <= d2 <= FAR * FAR:
+                continue
+            is_b = label == b
+            if not own:
+                upright = mine[at, 3] % 2  # the row's two pixels are one above the other
+                beyond = y > mine[at, 3] / 2 if upright else x > mine[at, 4] / 2
+                last = labels[(mine[at, 3] + upright) // 2, (mine[at, 4] + 1 - upright) // 2]
+                is_b = beyond == (last == b)
+            A[n, 0], A[n, 1], A[n, 2], A[n, 3] = 1, y - mine[0, 3] / 2, x - mine[0, 4] / 2, is_b
+            F[n] = f[y, x]
+            of_b += is_b
+            n += 1
+    return n, of_b

@@ -14,7 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 SCENES = ("office", "office-1", "office-2", "office-3", "gallery-white", "cornell")
 HEAD = ("scene", "lambda", "what", "cpu_s", "spanning", "whole", "number")
 PURE, LARGE = 0.95, 0.005  # share of a surface that lies on one plane; of the picture, from which a plane counts
-WEIGHTS = {"auto": 1, "auto / 8": 1 / 8, "auto / 20": 1 / 20, "noise": None}
+SHADING, SMALLEST = 0.06, 1 / 24  # contrast of light that stays whole on the smallest facet: what auto once was
+WEIGHTS = {"shading": 1, "shading / 8": 1 / 8, "shading / 20": 1 / 20, "auto": None}
 
 
 def planes_seen(scene):
@@ -45,6 +46,12 @@ def scores(labels, planes):
     return float(size[~pure].sum() / labels.size), float(np.median(whole))
 
 
+def whole_shading(picture):
+    """The lambda that leaves the light of the smallest facet whole."""
+    height, width, channels = picture.shape
+    return channels * SMALLEST * (height * width) ** 0.5 * SHADING**2 / 4
+
+
 def measure(log):
     """Rows of HEAD."""
     from lib.given import image
@@ -56,8 +63,7 @@ def measure(log):
     for scene in SCENES:
         picture, planes = image.read_photograph(ROOT / "data" / scene / "left.png").display, planes_seen(scene)
         for name, share in WEIGHTS.items():
-            noise = segmentation.noise_lambda(picture)
-            weight = noise if share is None else share * segmentation.auto_lambda(picture)
+            weight = segmentation.auto_lambda(picture) if share is None else share * whole_shading(picture)
             began = time.process_time()
             regions = segmentation.segment(picture, weight)
             between = time.process_time()

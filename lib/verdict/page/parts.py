@@ -123,6 +123,7 @@ def _read_vision(files):
     return see(
         photographs=pair("photograph", lambda path: image.read_photograph(path).display),
         regions=pair("regions", image.read_labels),
+        surfaces=pair("surfaces", image.read_labels),
         cameras=pair("camera", cameras.read_cameramodel),
         matches=read_matches(files["matches"]) if files["matches"] else None,
         model=model.load(files["model"]) if files["model"] and files["pose"] else None,

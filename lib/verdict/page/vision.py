@@ -31,13 +31,15 @@ FEW = 12  # facets that are listed without a click
 class Vision:
     """Of the two sides, in the pixels of the pinhole photographs:
 
-    photographs : {side: (H, W, C) display values};  regions : {side: (H, W) labels from 1}
+    photographs : {side: (H, W, C) display values};
+    regions, surfaces : {side: (H, W) labels from 1}
     cameras : {side: Camera} in the pair's frame;  wires : [Wire], the linear step first
     matches : [(left label, right label, similarity)];  facet_names : of the model's facets, "object, group"
     """
 
     photographs: dict = field(default_factory=dict)
     regions: dict = field(default_factory=dict)
+    surfaces: dict = field(default_factory=dict)
     cameras: dict = field(default_factory=dict)
     wires: list = field(default_factory=list)
     matches: list | None = None
@@ -179,22 +181,30 @@ def _orientation_facts(orientation: records.Orientation):
 
 
 def regions_section(vision: Vision, width):
-    """Figures 2.2 and 2.3: every region in a colour; then matched regions in one colour, the others black."""
-    regions = {side: vision.regions[side] for side in SIDES if vision.regions.get(side) is not None}
-    if not regions:
+    """Figures 2.2 and 2.3: every region in a colour, every surface; then matched ones in one colour, others black."""
+    regions, surfaces = (
+        {side: of[side] for side in SIDES if of.get(side) is not None} for of in (vision.regions, vision.surfaces)
+    )
+    if not (regions or surfaces):
         return ""
     matched = []
-    if vision.matches is not None and len(regions) == 2:
-        for i, (side, labels) in enumerate(regions.items()):
+    if vision.matches is not None and len(surfaces) == 2:
+        for i, (side, labels) in enumerate(surfaces.items()):
             match_of = _match_of_labels(labels, [match[i] for match in vision.matches])
             share = float((match_of[labels] > 0).mean()) if labels.size else 0.0
             matched.append((side, _matched_uri(match_of[labels], len(vision.matches), width), share))
     return render(
         "regions.html",
-        regions=[(side, labels_uri(labels, width), int(labels.max(initial=0))) for side, labels in regions.items()],
+        regions=_shown(regions, width),
+        surfaces=_shown(surfaces, width),
         matched=matched,
         matches=len(vision.matches or ()),
     )
+
+
+def _shown(pictures, width):
+    """[(side, picture, number of labels)]"""
+    return [(side, labels_uri(labels, width), len(np.unique(labels))) for side, labels in pictures.items()]
 
 
 def _match_of_labels(labels, matched):

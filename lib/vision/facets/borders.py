@@ -16,7 +16,6 @@ class Borders:
     q : (n, 2) px          in the photograph            uv : (n, 2)      rectified pixels
     normal : (n, 2)        outward, rectified           sigma : (n,) px  along the normal, from the picture's noise
     bend : (n,) px         how far its neighbours are off a line; large where borders turn or are ragged
-    beyond : (n,)          the label on the other side
     first : (N + 2,)       those of label l are first[l]:first[l + 1]
     """
 
@@ -25,7 +24,6 @@ class Borders:
     normal: np.ndarray
     sigma: np.ndarray
     bend: np.ndarray
-    beyond: np.ndarray
     first: np.ndarray
 
     def of(self, label: int) -> Border:
@@ -52,20 +50,18 @@ def borders(pair: Stereo, labels, values, wanted, side: str, noise: float) -> Bo
     n = int(labels.max(initial=0))
     chosen = np.zeros(n + 1, bool)
     chosen[wanted] = True
-    q, normal, sigma, owner, beyond = kernels.borders(kernels.Picture(values, labels, noise), chosen)
+    q, normal, sigma, owner = kernels.borders(kernels.Picture(values, labels, noise), chosen)
     uv = pair.rectified(q, side)
     tip = pair.rectified(q + 0.5 * np.column_stack([-normal[:, 1], normal[:, 0]]), side) - uv  # the tangent, rectified
     normal = np.column_stack([tip[:, 1], -tip[:, 0]])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     keep = np.isfinite(normal).all(axis=1)
-    q, uv, normal, sigma, owner, beyond = (x[keep] for x in (q, uv, normal, sigma, owner, beyond))
+    q, uv, normal, sigma, owner = (x[keep] for x in (q, uv, normal, sigma, owner))
     order = np.lexsort((uv[:, 1], owner))
-    q, uv, normal, sigma, owner, beyond = (
-        np.ascontiguousarray(x[order]) for x in (q, uv, normal, sigma, owner, beyond)
-    )
+    q, uv, normal, sigma, owner = (np.ascontiguousarray(x[order]) for x in (q, uv, normal, sigma, owner))
     first = np.searchsorted(owner, np.arange(n + 2))
     normal, bend = kernels.straighten(uv, normal, first)
-    return Borders(q, uv, normal, sigma, bend, beyond, first)
+    return Borders(q, uv, normal, sigma, bend, first)
 
 
 def noise(values, labels) -> float:

@@ -7,9 +7,11 @@ import numpy as np
 from lib.core.compiled import njit
 
 REACH = 3  # px: a border's profile reaches so far to either side
-# A border that the picture does not locate to 3/4 of this (px) is taken from the labels. Their errors of up to half a
-# pixel are the same along a whole stretch, so that one of its points is worth little.
-WEAK = 2.0
+WORST = 1.5  # px: the area under a profile that locates a border no better does not locate it
+SURE = 1.0  # px: points better than this are held against each other, worse ones only weighed
+# Where the sides of a border are no two colours it lies at its steepest place: within NEAR px, steeper than the profile
+# ENDS px to either side, and than noise, by these factors. STEEPEST (px): what lies beside an edge moves that place.
+ENDS, NEAR, STEEP_ENDS, STEEP_NOISE, STEEPEST = 4, 2, 2.5, 3.0, 0.25
 # Pixels on a border between two colours lie so near the line between them, as a part of the contrast; gamma bends it.
 MIXED = 0.1
 
@@ -38,7 +40,6 @@ class BorderPoints(NamedTuple):
     normal: np.ndarray  # (n, 2) outward, coarse
     sigma: np.ndarray  # (n,) px along the normal
     owner: np.ndarray  # (n,) label
-    beyond: np.ndarray  # (n,) label on the other side
 
 
 @njit()
@@ -51,9 +52,7 @@ def borders(picture, wanted):
     labels = picture.labels
     height, width, channels = picture.values.shape
     most = count_crossings(labels, wanted)
-    points = BorderPoints(
-        np.empty((most, 2)), np.empty((most, 2)), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
-    )
+    points = BorderPoints(np.empty((most, 2)), np.empty((most, 2)), np.empty(most), np.empty(most, np.int64))
     inner, outer = np.empty(channels), np.empty(channels)
     n = 0
     for y in range(height):
@@ -68,12 +67,14 @@ def borders(picture, wanted):
                 steep = gx * at.dx + gy * at.dy
                 if steep < 0.6 or notched(labels, at):  # the other axis crosses it more steeply
                     continue
-                t, sigma, other = locate(picture, at, inner, outer)
+                t, sigma = locate(picture, at, inner, outer)
+                if sigma == np.inf:
+                    continue
                 points.q[n, 0], points.q[n, 1] = x + t * at.dx, y + t * at.dy
                 points.normal[n, 0], points.normal[n, 1] = gx, gy
-                points.sigma[n], points.owner[n], points.beyond[n] = sigma * steep, labels[y, x], other
+                points.sigma[n], points.owner[n] = sigma * steep, labels[y, x]
                 n += 1
-    return BorderPoints(points.q[:n], points.normal[:n], points.sigma[:n], points.owner[:n], points.beyond[:n])
+    return BorderPoints(points.q[:n], points.normal[:n], points.sigma[:n], points.owner[:n])
 
 
 @njit()
@@ -142,11 +143,20 @@ def steps_outside(labels, at):
 
 @njit()
 def locate(picture, at, inner, outer):
-    """Where the border lies, steps from the pixel; its sigma, steps; the label on the other side."""
+    """Where the border lies, steps from the pixel, and its sigma, steps: inf where nothing locates it."""
+    start = steps_outside(picture.labels, at)
+    t, sigma = by_area(picture, at, start, inner, outer) if start else (0.5, np.inf)
+    if start == 1 and sigma < np.inf:
+        return t, sigma
+    # a sliver on the edge may be the blur between two colours or a surface of its own
+    steep, sigma_steep = steepest(picture, at)
+    return (t if sigma < np.inf and abs(t - steep) < 0.5 else steep), sigma_steep
+
+
+@njit()
+def by_area(picture, at, start, inner, outer):
+    """Where the border between two colours lies, from the area under the profile; sigma as in locate."""
     labels = picture.labels
-    start = steps_outside(labels, at)
-    if not start:
-        return 0.5, WEAK, labels[at.y + at.dy, at.x + at.dx]
     other = labels[at.y + start * at.dy, at.x + start * at.dx]
     n_in = level(picture, labels[at.y, at.x], Crossing(at.y, at.x, -at.dy, -at.dx), 1, inner)
     n_out = level(picture, other, at, start + 1, outer)
@@ -154,17 +164,43 @@ def locate(picture, at, inner, outer):
     for c in range(len(inner)):
         contrast += (inner[c] - outer[c]) ** 2
     if n_in < 2 or n_out < 2 or not contrast > 0:
-        return 0.5, WEAK, other
+        return 0.5, np.inf
     area, count = area_under_profile(picture, at, start, inner, outer, contrast)
     if not count:
-        return 0.5, WEAK, other
+        return 0.5, np.inf
     located = 0.5 - REACH + area
     spread = picture.noise * np.sqrt((count + REACH**2 * (1 / n_in + 1 / n_out)) / contrast)
-    if not (spread < 0.75 * WEAK and abs(located - 0.5 * start) < 2):
-        return 0.5, WEAK, other
-    if start > 1:  # a sliver may be a surface of its own
-        spread = max(spread, 0.5 * WEAK)
-    return located, spread, other
+    return (located, spread) if spread < WORST and abs(located - 0.5 * start) < 2 else (0.5, np.inf)
+
+
+@njit()
+def steepest(picture, at):
+    """Where the picture changes most steeply near a border: the innermost such place. Returns as locate.
+
+    For borders whose two sides are not two colours: the edge of a board, or a contact shadow, lies between.
+    """
+    values = picture.values
+    height, width, channels = values.shape
+    g = np.zeros(2 * ENDS + 1)
+    for k in range(-ENDS, ENDS + 1):
+        for c in range(channels):
+            d = 0.0
+            for line in range(-1, 2):
+                y, x = at.y + k * at.dy + line * at.dx, at.x + k * at.dx + line * at.dy
+                y2, x2 = y + at.dy, x + at.dx
+                if min(y, x, y2, x2) < 0 or max(y, y2) >= height or max(x, x2) >= width:
+                    return 0.5, np.inf
+                d += values[y2, x2, c] - values[y, x, c]
+            g[k + ENDS] += (d / 3) ** 2
+    g = np.sqrt(g)
+    least = max(STEEP_ENDS * 0.5 * (g[0] + g[-1]), STEEP_NOISE * picture.noise)
+    for k in range(-NEAR, NEAR + 1):
+        i = k + ENDS
+        if g[i] > least and g[i] >= g[i - 1] and g[i] > g[i + 1]:
+            total = g[i - 1] + g[i] + g[i + 1]
+            spread = 1.15 * picture.noise / total  # of four independent means of three pixels
+            return k + 0.5 + (g[i + 1] - g[i - 1]) / total, np.sqrt(spread**2 + STEEPEST**2)
+    return 0.5, np.inf
 
 
 @njit()

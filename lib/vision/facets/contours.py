@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lib.vision.facets import contours_kernels as kernels
-from lib.vision.facets.borders_kernels import WEAK
+from lib.vision.facets.borders_kernels import SURE
 from lib.vision.facets.contours_kernels import NORMAL_U, PART, RESIDUAL, SIGMA, WEIGHT, Border
 
-AGREE = 0.35  # px: a part of the border that lies so far from where the plane puts it is not the facet's own
+AGREE = 0.25  # px: a part of the border that lies so far from where the plane puts it is not the facet's own
 PARTS = 12  # parts tried as the ones that are
 LEAST_POINTS = 12  # of the border or of the texture
 
@@ -43,10 +43,10 @@ def _own_parts(rows, n_parts, size):
 
     A border belongs to the nearer of the two surfaces that meet there. What hides part of the facet lies in front of
     it, so each part either agrees with the facet's plane or has *more* disparity; no border can lie behind. Every two
-    and three parts propose a plane. That one wins with which most of the border, as seen across the epipolar lines,
-    agrees, less what would lie behind.
+    and three parts propose a plane. That one wins with which most of the border agrees, less what would lie behind:
+    all of the border, not only what crosses the epipolar lines, or the upright sides of what hides a floor outvote it.
     """
-    strong = rows[:, SIGMA] < WEAK
+    strong = rows[:, SIGMA] < 2 * SURE
     part = rows[:, PART].astype(int)
     J = rows[:, :3] * rows[:, SIGMA : SIGMA + 1] / [size, size, 1]
     r, nu = rows[:, RESIDUAL] * rows[:, SIGMA], rows[:, NORMAL_U]
@@ -73,7 +73,7 @@ def _own_parts(rows, n_parts, size):
         rms2 = np.where(n > 0, np.maximum(square - noise, 0) / n, np.inf)
         ahead = np.where(info > 0, (x @ mean[0].T + mean[1]) / info, 0)  # disparity beyond the plane's
     agree = np.maximum(1 - rms2 / AGREE**2, 0)
-    score = (info * agree).sum(axis=1) - (info * ((agree == 0) & (ahead < -2 * AGREE))).sum(axis=1)
+    score = (n * agree).sum(axis=1) - (n * ((agree == 0) & (ahead < -2 * AGREE))).sum(axis=1)
     h = int(score.argmax())
     return agree[h] > 0, x[h] / [size, size, 1]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lib.core.compiled import njit
 from lib.vision import matching_kernels as kernels
-from lib.vision.facets.borders_kernels import WEAK
+from lib.vision.facets.borders_kernels import SURE
 
 # px: no border point is better than this, for pixels are not ideal windows and light does not mix in display values.
 FLOOR = 0.03
@@ -64,7 +64,7 @@ def contour_rows(plane, centre, reach, scale, left, part, right, rows):
         if abs(du * nv - dv * nu) > 1.5:  # beyond the border's end
             continue
         sigma = np.sqrt(lsigma[k] ** 2 + rsigma[at] ** 2 + 2 * FLOOR**2)
-        if sigma < 0.5 * WEAK:
+        if sigma < SURE:
             sigma *= scale
         r = nu * du + nv * dv
         cut = max(reach, 4.7 * sigma)
@@ -102,7 +102,7 @@ def fit_contours(plane, centre, size, reach, iterations, left, part, right, rows
         plane[0] += s0
         plane[1] += s1
         plane[2] += s2
-        strong = rows[:n, RESIDUAL][rows[:n, SIGMA] < 0.5 * WEAK * scale]
+        strong = rows[:n, RESIDUAL][rows[:n, SIGMA] < SURE * scale]
         if len(strong) >= 20:  # what the residuals say of sigma, unless they are too few
             scale = max(scale * max(1.4826 * np.median(np.abs(strong)), 0.1), LEAST_SCALE)
         small = abs(s0) * size + abs(s1) * size + abs(s2) < 1e-4

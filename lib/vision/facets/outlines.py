@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lib.vision.facets.borders_kernels import WEAK
+from lib.vision.facets.borders_kernels import SURE
 
 
 def outline(labels, label, camera, m, q, sigma):
@@ -24,7 +24,7 @@ def outline(labels, label, camera, m, q, sigma):
     ring = cv2.approxPolyDP(max(contours, key=len), 1.5, True)[:, 0].astype(float) + [x0, y0]
     if len(ring) < 3:
         return None
-    corner = _corners(ring, q[sigma < 0.5 * WEAK])
+    corner = _corners(ring, q[sigma < SURE])
     v = camera.directions(np.clip(corner, -0.5, np.array(labels.shape[::-1]) - 0.5))
     height = v @ m
     if not (height > 1e-6 * np.linalg.norm(m)).all():

@@ -29,7 +29,9 @@ from lib.vision.facets.outlines import outline
 LEAST_OVERLAP = 0.6
 LEAST_ROWS = 6  # ends of rows, for a plane to start from
 THIN = 5.0  # px: of thinner regions both borders lie in one blur
+LOOSE = np.radians(4)  # sigma of the tilt from which a facet is marked: it says where a plane is, hardly how it lies
 MOST_TILT = 0.2  # rad: the normal must be known better than this, and the distance better than this part of it
+TWO_PLANES = 0.25  # of the ends of rows may lie on one other plane: shadows and what hides a region are no planes
 MOST_SLOPE = 0.95  # of the disparity along u: at 1 the plane goes through the right camera's centre
 
 
@@ -42,6 +44,7 @@ class Facet:
     polygon : (P, 3)    the left region's outline on the plane
     overlap             intersection over union of the right region and the left one, taken over by the plane
     rms_px              how far the borders lie apart, along their normals
+    by                  what told it: "contour", "texture" or "both"
     """
 
     left_label: int
@@ -51,6 +54,15 @@ class Facet:
     polygon: np.ndarray
     overlap: float
     rms_px: float
+    by: str
+
+    @property
+    def loose(self) -> bool:
+        """The normal's standard deviation, in its worst direction, exceeds LOOSE."""
+        length = np.linalg.norm(self.m)
+        n = self.m / length
+        across = np.eye(3) - np.outer(n, n)
+        return bool(np.linalg.eigvalsh(across @ self.covariance @ across)[-1] > (LOOSE * length) ** 2)
 
     @property
     def plane(self) -> tuple[np.ndarray, float]:
@@ -257,10 +269,13 @@ def _facet(sight, l, r, x, sigma_side):
     polygon = outline(sight.views[0].labels, l, pair.left, m, *sight.edges[0].of_photograph(l))
     if plane[0] >= MOST_SLOPE or polygon is None:
         return "through a camera's centre"
+    if matching.another_plane(*sight.regions, l - 1, r - 1, plane) > TWO_PLANES:
+        return "borders of two planes"
     overlap = matching.mutual_overlap(sight.regions, sight.views, l - 1, r - 1, plane, pair.f_px)
     if overlap < LEAST_OVERLAP:
         return "overlap: left does not cover right"
-    return Facet(l, r, m, covariance, polygon, overlap, x.rms_px)
+    by = "contour" if x.texture is None else "both" if x.points else "texture"
+    return Facet(l, r, m, covariance, polygon, overlap, x.rms_px, by)
 
 
 def _m_from_disparity(pair, uv0):

@@ -11,7 +11,7 @@ import numpy as np
 from lib.vision.facets.contours import Measured
 from lib.vision.facets.contours_kernels import PART, RESIDUAL, WEIGHT, U, V
 
-MISFIT = 1.5  # times the ordinary rms of the pair's borders: what lies farther apart is not one plane's
+MISFIT = 1.2  # times the ordinary rms of the pair's borders: what lies farther apart is not one plane's
 CHI2_95 = 7.81  # of 3 degrees of freedom
 SIDE_SIGMAS = np.array([0, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])  # px, tried
 

@@ -50,9 +50,9 @@ def _targets(model, rig, matches, labels):
     for side, s in enumerate(rig.sides):
         for i, f in matches:
             label = labels[i, side]
-            if s.regions is None or label <= 0:
+            if s.surfaces is None or label <= 0:
                 continue
-            mask = (s.regions == label).astype(np.uint8)
+            mask = (s.surfaces == label).astype(np.uint8)
             contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
             if contours:
                 outline = cv2.approxPolyDP(max(contours, key=cv2.contourArea), 2.0, True)[:, 0].astype(float)

@@ -15,12 +15,12 @@ from lib.vision.refinement.edges import draw
 class Side:
     """One photograph of the pair.
 
-    camera : in the pair's frame; photograph : image.Photograph; regions : (H, W) int labels, or None
+    camera : in the pair's frame; photograph : image.Photograph; surfaces : (H, W) int labels, or None
     """
 
     camera: Camera
     photograph: object
-    regions: np.ndarray = None
+    surfaces: np.ndarray = None
 
 
 # Levenberg-Marquardt on one set of correspondences.
