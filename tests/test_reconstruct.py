@@ -389,6 +389,58 @@ def check_trace(report, planes):
     assert trace[-1]["borders_apart_px"] <= 1.1 * trace[0]["borders_apart_px"] < 1
 
 
+@pytest.mark.parametrize("edge", [39.5, 39.8, 40.2])
+@pytest.mark.parametrize("sliver", [0, 1, 2])
+def test_a_border_with_a_sliver_on_it_is_where_the_inner_colour_ends(edge, sliver):
+    """A board's edge or a contact shadow, `sliver` px wide, between two colours: the border of the left one."""
+    start = np.arange(80) - 0.5  # of each pixel
+    share = lambda a, b: np.clip(np.minimum(start + 1, b) - np.maximum(start, a), 0, 1)
+    row = 0.6 * share(-1, edge) + 0.2 * share(edge, edge + sliver) + 0.4 * share(edge + sliver, 90)
+    noise = np.random.default_rng(sliver).normal(0, 0.004, (60, 80, 3))
+    values = np.repeat(row[None], 60, 0)[..., None] * [1, 0.9, 0.8] + noise
+    ends = [40, 40 + sliver]
+    labels = np.repeat(1 + np.digitize(np.arange(80), ends).astype(np.int32)[None], 60, 0)
+    pair = matching.stereo(*parallel(80, 60, 100.0, 0.1))
+    found = borders.borders(pair, labels, values, [1], "left", 0.004)
+    q, sigma = found.of_photograph(1)
+    assert len(q) > 45 and np.abs(q[:, 0] - edge).max() < 0.4
+    assert (np.abs(q[:, 0] - edge) < 4 * sigma + 0.03).mean() > 0.95
+
+
+def test_a_border_that_hardly_shows_says_little():
+    """An isophote: the labels change where the picture hardly does."""
+    values = np.repeat((0.3 + 0.002 * np.arange(80))[None], 60, 0)[..., None].repeat(3, 2)
+    values = values + np.random.default_rng(0).normal(0, 0.004, values.shape)
+    labels = np.repeat(1 + (np.arange(80) >= 40).astype(np.int32)[None], 60, 0)
+    pair = matching.stereo(*parallel(80, 60, 100.0, 0.1))
+    assert (borders.borders(pair, labels, values, [1], "left", 0.004).sigma > 0.4).all()
+
+
+@pytest.mark.parametrize("apart, share", [(0.0, 0.0), (6.0, 0.5)])
+def test_ends_of_rows_on_another_plane_are_counted(apart, share):
+    """The left ends of a region's rows lie on one plane, the right ones on another that is `apart` px nearer."""
+    row = np.arange(100)
+    left = np.column_stack([20 + 0.3 * row, 90 - 0.2 * row])
+    disparity = 10 + 0.05 * left + 0.02 * row[:, None] + [0, apart]
+    region = lambda ends: matching.RegionArrays(
+        *(np.array([100]), np.zeros((1, 1)), np.zeros((1, 2)), np.array([0]), np.array([99]), np.zeros(1, bool)),
+        *(np.array([0, 100]), ends, np.ones(ends.shape, bool), np.zeros(1, np.int64), np.array([0, 1])),
+    )
+    plane = 0.05, 0.02, 10 - 0.01
+    found = matching.another_plane(region(left), region(left - disparity), 0, 0, plane)
+    assert found == pytest.approx(share, abs=0.02)
+
+
+def test_a_facet_whose_tilt_is_hardly_known_is_loose():
+    m = np.array([0.1, 0, 0.5])
+    n = m / np.linalg.norm(m)
+    across = np.eye(3) - np.outer(n, n)
+    facet = lambda degrees: facets.Facet(
+        1, 1, m, across * (np.radians(degrees) * np.linalg.norm(m)) ** 2 + 0.01 * np.outer(n, n), None, 1, 0, "contour"
+    )
+    assert facet(4.1).loose and not facet(3.9).loose
+
+
 @pytest.mark.scene
 def test_stage_writes_the_contract(run, pair_files, tmp_path):  # noqa: F811
     Q = pairs.quads(2)
@@ -421,6 +473,7 @@ def test_stage_writes_the_contract(run, pair_files, tmp_path):  # noqa: F811
             np.testing.assert_allclose(C, C.T, rtol=1e-6, atol=1e-15)
             assert np.linalg.eigvalsh(C)[0] > 0 and 0.6 <= x["overlap"] <= 1
             assert angle_deg(n / d, Q.m[x["left_label"]]) < 1
+            assert x["by"] in ("contour", "both") and x["loose"] is False
     report = json.loads((tmp_path / "r.json").read_text())
     check_trace(report, planes=6)
     assert report["facets"] == 6 and report["timings"]["reconstruct"]["wall_s"] < 5

@@ -145,6 +145,23 @@ def test_what_helps_one_group_alone_is_told_from_what_helps_all():
     assert all_of_them[0] > 30 and all_of_them[1] > 0.7 * all_of_them[0]
 
 
+def test_sigma_knows_what_mixing_hangs_on_one_group():
+    """The light of one group is wrong, so M is: by no more than what leaving that group out changes."""
+    problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)
+    camera = replace(problem.transfer, matrix=MIXING)
+    group = problem.tile_group[np.repeat(np.arange(len(problem.tile_group)), problem.n_pixels)]
+    pixels = camera.display(problem.transfer.linear(problem.pixels))
+    bent = pixels + 0.02 * (group == 2)[:, None] * np.sign(pixels - pixels[group == 2].mean(axis=0)) * [1, -1, 1]
+    sigma = []
+    for values in (pixels, bent):
+        mixed = matrix.fitted(Candidate.of(replace(problem, pixels=values, transfer=Transfer("gamma", 2.0))))
+        result = gauss_newton(mixed.problem, start=mixed.start)
+        sigma.append(np.array(matrix.spread(result.cov_cause)))
+        M = matrix.stepped(mixed.problem.transfer.matrix, result.state.cause)
+        assert (np.abs(M - MIXING) < 3 * sigma[-1] + 0.01).all()
+    assert np.abs(M - MIXING).max() > 0.05 and sigma[1].max() > 3 * sigma[0].max()
+
+
 def test_sigma_knows_of_colours_in_doubt():
     problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)
     plain = Candidate.of(problem)
