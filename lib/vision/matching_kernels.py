@@ -57,6 +57,8 @@ def rows(labels, u, v, low, row_start, ends, whole):
 TOLERANCE_PX = 1.5  # ends of rows nearer than this agree: the regions are whole pixels
 FAR_PX = 2.0  # those farther off do not
 TILT = 0.3  # a and b of a facet are of this order: the weak prior of narrow regions
+OUTLINED = 0.5  # of the ends of rows must agree, or HIDDEN of them if they are ROWS: most ends of a floor are things
+HIDDEN, ROWS = 0.2, 20  # that stand on it
 MOST = 1500  # pixels looked at per region for its overlap
 
 
@@ -305,7 +307,7 @@ def compare(left, right, left_view, right_view, i, j, f_px, colour, work):
     if not (ratio < most and ratio * most > 1 and (left.centre[i, 0] > right.centre[j, 0] or cut)):
         return SIZE, 0.0, none
     plane, agree, n = outline_plane(left, right, i, j, work)
-    if not (n >= 6 and agree >= 0.5):
+    if not (n >= 6 and (agree >= OUTLINED or (agree >= HIDDEN and agree * n >= ROWS))):
         return OUTLINE, 0.0, none
     a, b, c = plane
     if not (a < 0.9 and a * left.centre[i, 0] + b * left.centre[i, 1] + c > 0):
@@ -315,7 +317,7 @@ def compare(left, right, left_view, right_view, i, j, f_px, colour, work):
     if not (min(there, back) >= 0.5 and min(seen, seen2) >= 0.25):
         return COVER, 0.0, none
     cover = intersection_over_union(there, back)
-    return ALIKE, cover * np.sqrt(agree) * np.exp(-0.5 * (0.5 * (off + off2) / colour) ** 2), plane
+    return ALIKE, cover * np.sqrt(max(agree, OUTLINED)) * np.exp(-0.5 * (0.5 * (off + off2) / colour) ** 2), plane
 
 
 @njit()
