@@ -35,6 +35,7 @@ STEP = 2.0  # growth of ADMM's coupling per iteration: smaller is slower and bet
 COUPLING = 0.1  # where the coupling starts
 AGREED = 1e-5  # |rows - columns|^2 / |f|^2 that ends ADMM; the polish takes the rest
 SETTLED = 1e-4  # relative fall of E that ends the polish
+APART = 3  # px: noise that resampling has spread does not reach so far
 ROUNDING = 1 / 255 / math.sqrt(12)  # standard deviation of what 8 bits leave
 SMALLEST = 1 / 24  # side of the smallest facet worth a plane, in sides of the picture
 
@@ -90,16 +91,19 @@ def merging(picture, weights) -> Iterator[np.ndarray]:
         yield labels + np.int32(1)
 
 
-def noise(picture) -> float:
+def noise(picture, step=1) -> float:
     """Standard deviation of white noise, root mean square over channels.
 
     It is the median of |second differences along x and y|: the mask (1 -2 1)^T (1 -2 1) annihilates every bilinear
     shading (Immerkaer 1996), and the median forgives edges. Rounding that hides the noise gives 0.
+
+    step : px between the pixels of the mask; noise that neighbours share, as in resampled pictures, is seen from APART
     """
     f = np.asarray(picture, float)
-    if min(f.shape[:2]) < 3:
+    if min(f.shape[:2]) < 2 * step + 1:
         return 0.0
-    d = np.abs(np.diff(np.diff(f, 2, axis=0), 2, axis=1)).reshape(-1, f.shape[2])
+    second = lambda g: g[2 * step :] - 2 * g[step:-step] + g[: -2 * step]
+    d = np.abs(second(second(f).swapaxes(0, 1))).reshape(-1, f.shape[2])
     return float(np.sqrt(np.mean((np.median(d, axis=0) / (0.6745 * 6)) ** 2)))
 
 
@@ -116,7 +120,7 @@ def auto_lambda(*pictures) -> float:
 
     The same holds for blocks of s x s pixels, whose means have the noise sigma_s: they save s^2 sigma_s^2 chi^2_C and
     cost 4 s lambda. White noise asks s times less there, texture more. The largest blocks have the side of the
-    smallest facet. Noise counts at least as what rounding to 8 bits leaves.
+    smallest facet. Noise counts at least as what rounding to 8 bits leaves, and with what neighbours share of it.
     """
     asked = [0.0]
     for f in pictures:
@@ -125,7 +129,7 @@ def auto_lambda(*pictures) -> float:
         while s == 1 or s <= SMALLEST * math.sqrt(H * W):
             h, w = H // s, W // s
             means = f[: h * s, : w * s].reshape(h, s, w, s, C).mean((1, 3))
-            sigma = noise(means) if s > 1 else max(noise(means), ROUNDING)
+            sigma = noise(means) if s > 1 else max(noise(f), noise(f, APART), ROUNDING)
             t = math.log(h * w) + 3
             asked.append(s * sigma**2 * (C + 2 * math.sqrt(C * t) + 2 * t) / 4)
             s *= 2
