@@ -76,15 +76,22 @@ def test_one_region():
 
 
 def test_a_photograph_is_cut_where_it_has_steps():
-    """From the segmentation at the noise's lambda: two walls, a floor and a poster, and nothing else of any size."""
+    """From the segmentation at the noise's lambda: two walls, a floor and a poster, and nothing else of any size.
+
+    A border lies where the noise happens to step: one picture in ten may cut a plane in two.
+    """
     wall = np.where(X < 60, 0.45 + 0.002 * X, 0.75 - 0.002 * X) + spot(0.15) - 0.3
     light = np.where(Y > 65, 0.2 + 0.001 * X, wall)
     light = np.where((X > 80) & (X < 105) & (Y > 20) & (Y < 45), 0.3 + spot(0.1) - 0.3, light)
-    seen = picture(light)
-    found = surfaces(seen, segmentation.segment(seen, segmentation.auto_lambda(seen)))
-    size = np.bincount(found.ravel())
-    assert (size > 0.02 * H * W).sum() in (3, 4)  # the walls meet in a crease where no step is seen
-    assert len(np.unique(found[25:40, 85:100])) == len(np.unique(found[70:85, 10:110])) == 1
+    numbers = []
+    for seed in range(10):
+        seen = picture(light, seed=seed)
+        found = surfaces(seen, segmentation.segment(seen, segmentation.auto_lambda(seen)))
+        numbers.append((np.bincount(found.ravel()) > 0.02 * H * W).sum())
+        parts = found[:60, :55], found[:60, 65:78], found[25:40, 85:100], found[70:85, 10:110]
+        main = [np.bincount(part.ravel()).argmax() for part in parts]
+        assert len(set(main)) == 4
+    assert max(numbers) <= 5 and numbers.count(4) >= 9
 
 
 # ---- the stage ----

@@ -3,7 +3,8 @@
 Equation 2.1 has regions of one colour, so it cuts a wall along levels of its shading, and elsewhere in the left and in
 the right photograph. Such a border has no step: beside it both sides are one ramp. In windows along each border the
 pixels of both sides are fitted by a common gradient and a step between them (least squares). Neighbours merge, those
-with the fewest steps first, while less than a quarter of their border shows one.
+with the fewest steps first, while less than a quarter of their border shows one, or less than half of it and none on
+average: a border lies where the noise happens to step, so some of its windows pass.
 
 A region that spans two planes draws them together. At the lambda of noise alone (segmentation.auto_lambda) there are
 fewest of those, and merging takes away what it cuts too much: tests/bench, surfaces.
@@ -21,6 +22,7 @@ SURE = 4.0  # standard deviations of a step that counts
 TIMES_RAMP, TIMES_NOISE, LEAST = 2.5, 0.6, 0.006  # and its size: change per px of the ramp, noise, display
 SHARE = 0.25  # of a border that may show a step where the neighbours merge
 SHORTEST = 8  # px of a border that says anything
+UNSEEN = 2  # px with a step that every border is given: long borders without one go before short ones
 
 
 def surfaces(picture, labels) -> np.ndarray:
@@ -30,39 +32,48 @@ def surfaces(picture, labels) -> np.ndarray:
     """
     f = np.ascontiguousarray(picture, np.float64)
     labels = np.ascontiguousarray(labels, np.int64)
-    stepped, length = _borders(f, labels)
-    return _merged(stepped, length, int(labels.max()))[labels]
+    return _merged(_borders(f, labels), int(labels.max()))[labels]
 
 
 def _borders(f, labels):
-    """({(a, b): px with a step}, {(a, b): px}) of the border between neighbours a < b."""
+    """{(a, b): (2 + 2 C,)} of the border between neighbours a < b: its px, those with a step, and the sums over px of
+    the steps from a to b and of what would count as one."""
     rows = kernels.borders(labels, WINDOW)
     rows = rows[np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))]
     first = np.flatnonzero((np.diff(rows[:, :3], axis=0, prepend=-1) != 0).any(axis=1))
     count = np.diff(np.append(first, len(rows)))
     step, sigma, ramp = kernels.steps(f, labels, rows, first, count).transpose(1, 0, 2)
     least = np.maximum(np.maximum(TIMES_RAMP * ramp, TIMES_NOISE * noise(f)), LEAST)
-    known = np.isfinite(step).all(axis=1)
-    is_step = ~known | ((np.abs(step) > SURE * sigma) & (np.abs(step) > least)).any(axis=1)
-    stepped, length = {}, {}
-    for (a, b), n, s in zip(rows[first, :2].tolist(), count.tolist(), is_step.tolist(), strict=True):
-        length[a, b] = length.get((a, b), 0) + n
-        stepped[a, b] = stepped.get((a, b), 0) + n * s
-    return stepped, length
+    known = np.isfinite(step).all(axis=1)[:, None]
+    is_step = ~known[:, 0] | ((np.abs(step) > SURE * sigma) & (np.abs(step) > least)).any(axis=1)
+    sums = np.column_stack([np.ones(len(step)), is_step, np.where(known, step, 0), np.where(known, least, 0)])
+    sums *= count[:, None]
+    found = {}
+    for (a, b), window in zip(rows[first, :2].tolist(), sums, strict=True):
+        found[a, b] = found.get((a, b), 0) + window
+    return found
 
 
-def _merged(stepped, length, n):
+def _share(border) -> float:
+    """Share of a border, of _borders(), that shows a step: higher while few px tell, half where none is on average."""
+    step, least = np.split(np.abs(border[2:]), 2)
+    share = (border[1] + UNSEEN) / (border[0] + UNSEEN)
+    return share / 2 if (step < least).all() else share
+
+
+def _merged(borders, n):
     """(n + 1,) int32 smallest label of the regions that each is merged with."""
-    around = [{} for _ in range(n + 1)]  # label -> [px with a step, px]
-    for (a, b), px in length.items():
-        around[a][b] = around[b][a] = [stepped[a, b], px]
-    share = lambda border: border[0] / border[1]
-    queue = [(share(around[a][b]), a, b) for a, b in length if length[a, b] >= SHORTEST]
+    toward = np.ones(len(next(iter(borders.values()), ())))
+    toward[2 : 1 + len(toward) // 2] = -1  # steps have a sign
+    around = [{} for _ in range(n + 1)]  # label -> their border, from here to there
+    for (a, b), border in borders.items():
+        around[a][b], around[b][a] = border, toward * border
+    queue = [(_share(border), a, b) for (a, b), border in borders.items() if border[0] >= SHORTEST]
     heapq.heapify(queue)
     into = np.arange(n + 1)
     while queue and queue[0][0] < SHARE:
         told, a, b = heapq.heappop(queue)
-        if b not in around[a] or told != share(around[a][b]):
+        if b not in around[a] or told != _share(around[a][b]):
             continue  # merged meanwhile, or another border by now
         if len(around[a]) < len(around[b]):
             a, b = b, a
@@ -70,11 +81,10 @@ def _merged(stepped, length, n):
         del around[a][b], around[b][a]
         for c, border in around[b].items():
             del around[c][b]
-            joint = around[a].get(c, [0, 0])
-            joint = [joint[0] + border[0], joint[1] + border[1]]
-            around[a][c] = around[c][a] = joint
-            if joint[1] >= SHORTEST:
-                heapq.heappush(queue, (share(joint), min(a, c), max(a, c)))
+            joint = around[a].get(c, 0) + border
+            around[a][c], around[c][a] = joint, toward * joint
+            if joint[0] >= SHORTEST:
+                heapq.heappush(queue, (_share(joint), min(a, c), max(a, c)))
         around[b] = {}
     for k in range(n + 1):
         while into[k] != into[into[k]]:
