@@ -9,9 +9,10 @@ import pytest
 from lib.given import cameras, image
 from lib.given.cameras import Camera
 from lib.vision import matching
-from lib.vision.facets import borders
+from lib.vision.facets import borders, sides
 from lib.vision.facets import contours_kernels as kernels
 from lib.vision.facets import planes as facets
+from lib.vision.facets.contours_kernels import Border
 from tests.helpers import pairs
 from tests.helpers.pairs import parallel
 
@@ -416,11 +417,14 @@ def test_a_border_that_hardly_shows_says_little():
     assert (borders.borders(pair, labels, values, [1], "left", 0.004).sigma > 0.4).all()
 
 
-@pytest.mark.parametrize("apart, share", [(0.0, 0.0), (6.0, 0.5)])
-def test_ends_of_rows_on_another_plane_are_counted(apart, share):
-    """The left ends of a region's rows lie on one plane, the right ones on another that is `apart` px nearer."""
+@pytest.mark.parametrize("apart, bend, share", [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (6.0, 0.5, 0.25)])
+def test_ends_of_rows_on_another_plane_are_counted(apart, bend, share):
+    """The left ends of a region's rows lie on one plane, the right ones on another that is `apart` px nearer.
+
+    One line is no plane, for what hides a region has one; two are.
+    """
     row = np.arange(100)
-    left = np.column_stack([20 + 0.3 * row, 90 - 0.2 * row])
+    left = np.column_stack([20 + 0.3 * row, 90 - 0.2 * row - bend * np.maximum(row - 50, 0)])
     disparity = 10 + 0.05 * left + 0.02 * row[:, None] + [0, apart]
     region = lambda ends: matching.RegionArrays(
         *(np.array([100]), np.zeros((1, 1)), np.zeros((1, 2)), np.array([0]), np.array([99]), np.zeros(1, bool)),
@@ -428,7 +432,74 @@ def test_ends_of_rows_on_another_plane_are_counted(apart, share):
     )
     plane = 0.05, 0.02, 10 - 0.01
     found = matching.another_plane(region(left), region(left - disparity), 0, 0, plane)
-    assert found == pytest.approx(share, abs=0.02)
+    assert found == pytest.approx(share, abs=0.05)  # what is within 2 px of a line goes to it
+
+
+def outlined(lines, plane, ahead, noise, rng):
+    """Borders of a region in both pictures, and the sides of their points: (left, right, part).
+
+    lines : (u, v) of the start and of the end of each side, on the left;  plane : (a, b, c) of its disparity at (0, 0)
+    ahead : px that each side has more disparity than the plane
+    """
+    sides = []
+    for k, (start, end) in enumerate(np.asarray(lines, float)):
+        t = np.linspace(0.02, 0.98, int(np.hypot(*(end - start))))
+        left = start + t[:, None] * (end - start)
+        right = left - np.column_stack([left @ plane[:2] + plane[2] + ahead[k], 0 * t])
+        for uv in (left, right):
+            along = uv[-1] - uv[0]
+            normal = np.array([along[1], -along[0]]) / np.hypot(*along)
+            sides.append((uv + rng.normal(0, noise, (len(t), 1)) * normal, np.tile(normal, (len(t), 1)), len(t) * [k]))
+    pictures = []
+    for mine in (sides[::2], sides[1::2]):
+        uv, normal, part = (np.concatenate(x) for x in zip(*mine, strict=True))
+        order = np.argsort(uv[:, 1])
+        border = Border(uv[order], normal[order], np.full(len(uv), 0.05), np.zeros(len(uv)))
+        pictures.append((border, part[order]))
+    return pictures
+
+
+# A floor: the walls behind it, the long upright edges of a box, its foot, and a board's edge on the left.
+FLOOR = (
+    [(0, 60), (90, 20)],
+    [(90, 20), (150, 40)],
+    [(150, 40), (150, 140)],
+    [(150, 140), (120, 150)],
+    [(0, 150), (0, 60)],
+)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("noise", [0.02, 0.1])
+def test_a_floor_is_found_behind_what_hides_it(seed, noise):
+    """The longest sides, upright ones of a box and a board, lie on a plane of their own, and the fit starts there."""
+    plane = np.array([0.03, 0.21, 14.0])
+    (left, part), (right, part_right) = outlined(FLOOR, plane, [0, 0, 17, 0, 12], noise, np.random.default_rng(seed))
+    lines = sides.lines(left, right, part, part_right, (0.0, 0.0))
+    hidden = np.array([0.05, 0.0, 38.0])
+    starts = lines.starts(hidden, left, 60.0)
+    assert len(starts) == 2 and starts[0] is hidden
+    assert lines.score(starts[1][None])[0] > lines.score(hidden[None])[0] + 100
+    off = np.column_stack([left.uv, np.ones(len(left.uv))]) @ (starts[1] - plane)
+    assert np.abs(off).max() < 30 * noise  # a start: two lines, prolonged over the floor
+
+
+def test_a_start_that_most_of_the_outline_agrees_with_is_kept():
+    plane = np.array([0.03, 0.21, 14.0])
+    (left, part), (right, part_right) = outlined(FLOOR, plane, 5 * [0], 0.0, np.random.default_rng(0))
+    lines = sides.lines(left, right, part, part_right, (0.0, 0.0))
+    assert lines.starts(plane, left, 60.0) == [plane]
+
+
+def test_sides_that_do_not_meet_are_no_lines():
+    (left, part), (right, _) = outlined([[(0, 0), (0, 50)]], [0, 0, 9], [0], 0.0, np.random.default_rng(0))
+    low = right._replace(uv=right.uv + [0, 80])  # other rows
+    behind = right._replace(uv=right.uv + [20, 0])  # disparity -11
+    other_way = right._replace(normal=-right.normal)
+    for far in (low, behind, other_way):
+        assert sides.lines(left, far, part, part, (0.0, 0.0)) is None
+    few = Border(*(x[:3] for x in left))
+    assert sides.lines(few, right, part[:3], part, (0.0, 0.0)) is None
 
 
 def test_a_facet_whose_tilt_is_hardly_known_is_loose():

@@ -147,7 +147,7 @@ def outline_plane(left: RegionArrays, right: RegionArrays, i: int, j: int):
 
 
 def another_plane(left: RegionArrays, right: RegionArrays, i: int, j: int, plane) -> float:
-    """The share of the row ends that are off the plane (a, b, c) and agree with one other plane."""
+    """The share of the row ends that are off the plane (a, b, c), agree with one other, and lie on no one line."""
     rows = min(left.high[i], right.high[j]) - max(left.low[i], right.low[j]) + 1
     return kernels.another_plane(left, right, i, j, tuple(map(float, plane)), np.empty((2 * max(rows, 1), 3)))
 

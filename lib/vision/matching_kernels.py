@@ -60,6 +60,7 @@ TILT = 0.3  # a and b of a facet are of this order: the weak prior of narrow reg
 OUTLINED = 0.5  # of the ends of rows must agree, or HIDDEN of them if they are ROWS: most ends of a floor are things
 HIDDEN, ROWS = 0.2, 20  # that stand on it
 MOST = 1500  # pixels looked at per region for its overlap
+ON_LINE_PX, LEAST_APART, TRIED = 2.0, 3.0, 24  # of ends on a line, through two of those tried
 
 
 @njit()
@@ -141,15 +142,39 @@ def plane_of(work, n):
 
 @njit()
 def another_plane(left, right, i, j, plane, work):
-    """The share of the row ends that are off a plane (a, b, c) and agree with one other plane."""
+    """The share of the row ends that are off a plane (a, b, c), agree with one other plane and lie on no one line.
+
+    The upright side of what hides a region is a line: through it goes a plane whatever it is.
+    """
     n = row_ends(left, right, i, j, work)
-    off = 0
+    off = agree = 0
     for k in range(n):
         if abs(work[k, 2] - plane[0] * work[k, 0] - plane[1] * work[k, 1] - plane[2]) > FAR_PX:
             work[off] = work[k]
             off += 1
-    _, agree, _ = plane_of(work, off)
-    return agree * off / max(n, 1)
+    (a, b, c), _, _ = plane_of(work, off)
+    for k in range(off):
+        if abs(work[k, 2] - a * work[k, 0] - b * work[k, 1] - c) <= TOLERANCE_PX:
+            work[agree] = work[k]
+            agree += 1
+    return (agree - on_one_line(work, agree)) / max(n, 1)
+
+
+@njit()
+def on_one_line(ends, n):
+    """How many of the first n of ends (u, v, disparity) lie on the line in (u, v) that holds most of them."""
+    most, step = min(n, 1), max(1, n // TRIED)
+    for p in range(0, n, step):
+        for q in range(p + step, n, step):
+            du, dv = ends[q, 0] - ends[p, 0], ends[q, 1] - ends[p, 1]
+            length = np.sqrt(du * du + dv * dv)
+            if length < LEAST_APART:
+                continue
+            held = 0
+            for k in range(n):
+                held += abs((ends[k, 0] - ends[p, 0]) * dv - (ends[k, 1] - ends[p, 1]) * du) <= ON_LINE_PX * length
+            most = max(most, held)
+    return most
 
 
 @njit()

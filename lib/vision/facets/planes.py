@@ -25,14 +25,14 @@ from lib.vision.facets.borders import Borders, borders, noise
 from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, parts
 from lib.vision.facets.intensities import smoothed_levels, texture_plane
 from lib.vision.facets.outlines import outline
+from lib.vision.facets.sides import MOST_SLOPE, lines
 
 LEAST_OVERLAP = 0.6
 LEAST_ROWS = 6  # ends of rows, for a plane to start from
 THIN = 5.0  # px: of thinner regions both borders lie in one blur
 LOOSE = np.radians(4)  # sigma of the tilt from which a facet is marked: it says where a plane is, hardly how it lies
 MOST_TILT = 0.2  # rad: the normal must be known better than this, and the distance better than this part of it
-TWO_PLANES = 0.25  # of the ends of rows may lie on one other plane: shadows and what hides a region are no planes
-MOST_SLOPE = 0.95  # of the disparity along u: at 1 the plane goes through the right camera's centre
+TWO_PLANES = 0.14  # of the ends of rows may lie on one other plane, not counting its longest line
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,10 +226,14 @@ def _start(sight, l, r):
 def _fit_contours(sight, fit, iterations):
     """The borders' plane, and the pixels where the texture is to be measured."""
     left, right = sight.edges[0].of(fit.l), sight.edges[1].of(fit.r)
-    q, _ = sight.edges[0].of_photograph(fit.l)
+    (q, _), (q_right, _) = sight.edges[0].of_photograph(fit.l), sight.edges[1].of_photograph(fit.r)
     labels = sight.views[0].labels
     part = parts(labels, fit.l, q)
-    contours = contour_plane(fit.plane, fit.uv0, fit.size, left, right, part, iterations)
+    found = lines(left, right, part, parts(sight.views[1].labels, fit.r, q_right), fit.uv0)
+    starts = [fit.plane] if found is None else found.starts(fit.plane, left, fit.size)
+    tried = [contour_plane(start, fit.uv0, fit.size, left, right, part, iterations) for start in starts]
+    tried = [x for x in tried if x is not None]
+    contours = max(tried, key=lambda x: found.score(x.plane[None])[0]) if len(tried) > 1 else next(iter(tried), None)
     # Texture: wherever no well located border is near, for that is measured already.
     regions = sight.regions[0]
     pixels = regions.order[regions.first[fit.l - 1] : regions.first[fit.l]]
