@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lib.given import image
-from lib.vision import segmentation
+from lib.vision import creases, segmentation
 from lib.vision.surfaces import surfaces
 
 H, W = 90, 120
@@ -92,6 +92,64 @@ def test_a_photograph_is_cut_where_it_has_steps():
         main = [np.bincount(part.ravel()).argmax() for part in parts]
         assert len(set(main)) == 4
     assert max(numbers) <= 5 and numbers.count(4) >= 9
+
+
+# ---- creases ----
+
+ROWS, COLUMNS = np.mgrid[:240, :320]
+
+
+def room(corner=150):
+    """(labels of ceiling 1, walls 2 and floor 3; whether a pixel is right of the crease between the walls)."""
+    ceiling = np.where(corner > COLUMNS, 30 + 30 * COLUMNS / corner, 60 - 40 * (COLUMNS - corner) / (320 - corner))
+    floor = 250 - ceiling
+    return 2 - (ceiling > ROWS) + (floor < ROWS), corner <= COLUMNS
+
+
+def lit(labels, walls, noise, seed=0):
+    """Display values (240, 320, 3): walls as given, a brighter ceiling, a darker floor."""
+    light = np.where(labels == 2, walls, np.where(labels == 1, 0.9, 0.2))
+    return light[..., None] * [1, 0.9, 0.8] + np.random.default_rng(seed).normal(0, noise, (240, 320, 3))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.002, 0.008])
+@pytest.mark.parametrize("corner", [90, 150, 230])
+def test_walls_are_cut_where_their_light_bends(corner, noise):
+    """No step, a kink of .006 per px: the crease to a pixel, and the larger wall keeps the label."""
+    labels, right = room(corner)
+    found = creases.cut(lit(labels, 0.4 + 0.003 * np.abs(COLUMNS - corner), noise), labels)
+    assert (found[labels != 2] == labels[labels != 2]).all()
+    assert set(np.unique(found)) == {1, 2, 3, 4}
+    larger = right if corner < 160 else ~right
+    expected = np.where(larger, 2, 4)
+    near = np.abs(COLUMNS - corner) <= 1
+    assert (found == expected)[(labels == 2) & ~near].all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("noise", [0.0, 0.004])
+def test_a_lit_wall_is_not_cut(seed, noise):
+    """A lamp's spot is curved, not bent; nor is noise."""
+    labels, _ = room()
+    spot = 0.3 + 0.4 * np.exp(-((COLUMNS - 200) ** 2 + (ROWS - 120) ** 2) / 6000)
+    assert (creases.cut(lit(labels, spot, noise, seed), labels) == labels).all()
+    assert (creases.cut(lit(labels, 0.5 + 0 * spot, noise, seed), labels) == labels).all()
+
+
+def test_an_edge_of_light_is_no_crease():
+    """It bends the light as a crease does, but runs from the middle of one side to that of another."""
+    labels, _ = room(320)
+    edge = 120 - 0.2 * COLUMNS
+    assert (creases.cut(lit(labels, 0.4 + 0.003 * np.maximum(edge - ROWS, 0), 0.002), labels) == labels).all()
+
+
+def test_a_crease_that_something_hides_in_part_is_cut_behind_it():
+    labels, right = room()
+    labels = np.where((np.abs(COLUMNS - 150) < 12) & (np.abs(ROWS - 150) < 12), 7, labels)
+    found = creases.cut(lit(labels, 0.4 + 0.003 * np.abs(COLUMNS - 150), 0.002), labels)
+    assert set(np.unique(found)) == {1, 2, 3, 7, 8}
+    near = np.abs(COLUMNS - 150) <= 1
+    assert (found == np.where(right, 2, 8))[(labels == 2) & ~near].all()
 
 
 # ---- the stage ----
