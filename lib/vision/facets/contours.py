@@ -145,15 +145,17 @@ def away(shape, pixels, q) -> np.ndarray:
     return pixels[near.ravel()[pixels] == 0]
 
 
-def contour_plane(plane, uv0, size, left: Border, right: Border, part, iterations: int) -> Measured | None:
+def contour_plane(plane, uv0, size, left: Border, right: Border, part, iterations: int, own=None) -> Measured | None:
     """From the borders alone; None where they do not meet.
 
     plane : (a, b, c) at uv0 to start from;  part : of the left points, see `parts`;  iterations : at most, of each fit
+    own : (parts,) which of them are the facet's; found where None
     """
     rows = np.empty((len(left.uv), kernels.COLUMNS))
     n_parts = int(part.max()) + 1
-    plane, n = kernels.fit_contours(plane, uv0, size, 4.0, iterations, left, part, right, rows)
-    for reach in (6.0, 3.0, 1.5):
+    if own is None:
+        plane, n = kernels.fit_contours(plane, uv0, size, 4.0, iterations, left, part, right, rows)
+    for reach in (6.0, 3.0, 1.5) if own is None else ():
         n = kernels.contour_rows(plane, uv0, reach, 1.0, left, part, right, rows)
         own = _own_parts(rows[:n], n_parts, size)
         if own is None:

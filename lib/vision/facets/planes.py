@@ -29,6 +29,7 @@ from lib.vision.facets.sides import MOST_SLOPE, lines
 
 LEAST_OVERLAP = 0.6
 LEAST_ROWS = 6  # ends of rows, for a plane to start from
+LEAST_SIDES = 0.1  # share of its straight sides that must agree with a plane, less those behind it
 THIN = 5.0  # px: of thinner regions both borders lie in one blur
 LOOSE = np.radians(4)  # sigma of the tilt from which a facet is marked: it says where a plane is, hardly how it lies
 MOST_TILT = 0.2  # rad: the normal must be known better than this, and the distance better than this part of it
@@ -230,10 +231,14 @@ def _fit_contours(sight, fit, iterations):
     labels = sight.views[0].labels
     part = parts(labels, fit.l, q)
     found = lines(left, right, part, parts(sight.views[1].labels, fit.r, q_right), fit.uv0)
+    fitted = lambda start, own=None: contour_plane(start, fit.uv0, fit.size, left, right, part, iterations, own)
     starts = [fit.plane] if found is None else found.starts(fit.plane, left, fit.size)
-    tried = [contour_plane(start, fit.uv0, fit.size, left, right, part, iterations) for start in starts]
+    tried = [fitted(start) for start in starts]
+    tried += [fitted(start, found.own(start, part.max() + 1)) for start in starts[1:]]
     tried = [x for x in tried if x is not None]
     contours = max(tried, key=lambda x: found.score(x.plane[None])[0]) if len(tried) > 1 else next(iter(tried), None)
+    if contours and found and found.score(contours.plane[None])[0] < LEAST_SIDES:
+        contours = None
     # Texture: wherever no well located border is near, for that is measured already.
     regions = sight.regions[0]
     pixels = regions.order[regions.first[fit.l - 1] : regions.first[fit.l]]

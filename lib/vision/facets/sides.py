@@ -26,9 +26,10 @@ MOST_SLOPE = 0.95  # of the disparity along u: at 1 the plane goes through the r
 class Sides(NamedTuple):
     """Straight sides of one outline, rectified px.
 
-    middle, normal : (n, 2);  rows : (n, 2) first and last v;  points : (n,) of the border
+    part : (n,) its number;  middle, normal : (n, 2);  rows : (n, 2) first and last v;  points : (n,) of the border
     """
 
+    part: np.ndarray
     middle: np.ndarray
     normal: np.ndarray
     rows: np.ndarray
@@ -55,9 +56,9 @@ def sides(border: Border, part) -> Sides:
             keep = off < 3 * max(1.4826 * np.median(off[keep]), 0.05)
         normal *= np.sign(normal @ border.normal[mine].mean(axis=0))
         if keep.sum() >= LEAST_POINTS and abs(normal[0]) >= LEAST_CROSSING:
-            found.append((*middle, *normal, uv[keep, 1].min(), uv[keep, 1].max(), mine.sum()))
-    middle, normal, rows, points = np.split(np.array(found).reshape(-1, 7), [2, 4, 6], axis=1)
-    return Sides(middle, normal, rows, points[:, 0])
+            found.append((k, *middle, *normal, uv[keep, 1].min(), uv[keep, 1].max(), mine.sum()))
+    k, middle, normal, rows, points = np.split(np.array(found).reshape(-1, 8), [1, 3, 5, 7], axis=1)
+    return Sides(k[:, 0].astype(int), middle, normal, rows, points[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +66,13 @@ class Lines:
     """What the sides of a region may be in space: each side of the left outline with each of the right one that fits.
 
     uv0 : (2,) where planes (a, b, c) have their c
-    points : (P,) of each left side;  side : (m,) the left side of each line
+    part, points : (P,) of each left side;  side : (m,) the left side of each line
     ends : (m, 2, 3) (u - u0, v - v0, 1), and disparity : (m, 2), of the line's ends
     crossing : (m,) how much a px of disparity is along the normal;  length : (m,) points that the rows in common have
     """
 
     uv0: np.ndarray
+    part: np.ndarray
     points: np.ndarray
     side: np.ndarray
     ends: np.ndarray
@@ -96,6 +98,7 @@ class Lines:
         l, r, u, v, disparity = (x[fits] for x in (l, r, u, v, disparity))
         return cls(
             uv0=np.array(uv0),
+            part=left.part,
             points=left.points,
             side=l,
             ends=np.stack([u - uv0[0], v - uv0[1], np.ones_like(u)], axis=2),
@@ -105,7 +108,19 @@ class Lines:
         )
 
     def score(self, planes) -> np.ndarray:
-        """(h,) points of sides that agree with each plane (h, 3), less those of sides that all lie behind it."""
+        """(h,) share of the sides, by points, that agree with each plane (h, 3), less that of those all behind it."""
+        agree, behind = self._compared(planes)
+        return (agree - behind) @ self.points / self.points.sum()
+
+    def own(self, plane, n: int) -> np.ndarray:
+        """(n,) which parts of the outline are sides that agree with a plane (3,)."""
+        agree, _ = self._compared(plane[None])
+        own = np.zeros(n, bool)
+        own[self.part[agree[0] > 0]] = True
+        return own
+
+    def _compared(self, planes):
+        """(h, P) how well the best line of each side agrees with each plane, and whether they all lie behind it."""
         ahead = np.einsum("mej,hj->hme", self.ends, planes) - self.disparity  # the plane before the line
         agree = np.clip(1 - ((self.crossing[:, None] * ahead) ** 2).mean(axis=2) / AGREE**2, 0, 1)
         ahead = ahead.mean(axis=2)
@@ -115,7 +130,7 @@ class Lines:
         for k, side in enumerate(self.side):
             best[:, side] = np.maximum(best[:, side], agree[:, k])
             all_behind[:, side] *= behind[:, k]
-        return (best - all_behind) @ self.points
+        return best, all_behind
 
     def planes(self, size: float) -> np.ndarray:
         """(h, 3) planes (a, b, c) that hold two lines of two sides.  size : px, of the region"""
