@@ -12,7 +12,8 @@ reads   facets, model; photographs, their surfaces and their pinhole cameras in 
         calibration      how well the cameras' projections are known
 writes  posed, posed-right   the cameras in the model's frame
         pose            rt_cam_world; its covariance (6, 6) of (omega, tau): T = exp(omega, tau) T_hat along the left
-                        camera's axes, rad and m; matches, trace, ambiguous
+                        camera's axes, rad and m; matches, trace; status: unique, ambiguous or symmetric, with the
+                        other poses in ambiguous
 """
 
 import sys
@@ -45,7 +46,6 @@ def options():
     return parser
 
 
-POOR_PX = 0.25  # rms; sharp photographs of an exact model stay at 0.06 to 0.15
 LENS_PX = 0.1  # one sigma of a projected pixel where nobody says it
 
 
@@ -74,6 +74,7 @@ def main(opt):
             from lib.vision import facets_file
             from lib.vision.recognition import recognise as recognition
             from lib.vision.refinement import pose as refinement
+            from lib.vision.refinement import words
         with report.excluded("compile"):
             recognition.warm_up()
         with report.timing("read"):
@@ -99,10 +100,7 @@ def main(opt):
         with report.timing("refine"):
             result = refinement.refine(model, sides, found, scene.labels, method=opt.method, lens_px=lens_px)
         if result.status == "not recognised":
-            raise stage.BadInput(
-                f"{opt.facets}: facets: {found.why}, and the photographs show {100 * result.support:.0f} % of that "
-                "pose's edges"
-            )
+            raise stage.BadInput(f"{opt.facets}: facets: {words.refusal(found, result)}")
         tell(report, opt, found, result, zero)
         write(opt, scene, found, result)
 
@@ -127,7 +125,7 @@ def read_sides(opt):
 
 def tell(report, opt, found, result, zero):
     """Trace, errors, warnings and status. zero : [CPU s, wall s] of the process's clocks where the report's are 0"""
-    from lib.vision.refinement import pose as refinement
+    from lib.vision.refinement import words
 
     report.status = result.status
     for step in result.trace:
@@ -135,22 +133,8 @@ def tell(report, opt, found, result, zero):
         report.trace(**point | {"cpu_s": step["cpu_s"] - zero[0], "wall_s": step["wall_s"] - zero[1]})
     report.error("edges", result.rms_px, unit="px", against="sub-pixel edges of the photographs")
     report["edges_found"], report["edges_found_by_chance"] = result.support, result.chance
-    if result.rms_px and result.rms_px > POOR_PX:
-        report.warning(
-            f"{opt.photograph}: the model's edges lie {result.rms_px:.2f} px rms from the photographs': lenses, "
-            "relative pose or model are not exact, and the pose may be worse than its covariance says"
-        )
-    if result.evidence < refinement.PROOF:
-        report.warning(
-            f"{opt.photograph}: only {100 * result.support:.0f} % of the edges that the model predicts are found: the "
-            "pose is poor, or the model is not what is seen"
-        )
-    if result.status == "ambiguous":
-        least = "at least " if len(found.poses) > refinement.MOST else ""
-        report.warning(
-            f"{opt.model}: {least}{len(result.ambiguous)} other poses explain the facets as well: see ambiguous in "
-            f"{opt.pose}"
-        )
+    for name, text in words.warnings(found, result):
+        report.warning(f"{getattr(opt, name)}: {text}")
 
 
 def write(opt, scene, found, result):

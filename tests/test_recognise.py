@@ -14,12 +14,13 @@ from lib.given import model as models
 from lib.given.cameras import Camera
 from lib.vision import facets_file
 from lib.vision.facets_file import SceneFacets
-from lib.vision.recognition import closed_form, rotations
+from lib.vision.recognition import closed_form, rotations, symmetry
 from lib.vision.recognition import recognise as recognition
 from lib.vision.refinement import pose as refinement
 from lib.vision.refinement import rig as rig_
 from tests.helpers import facet_trials as trials
 from tests.helpers import rooms
+from tests.helpers.boxes import BOX, Objects, box, look
 
 
 def right(pose, camera):
@@ -289,8 +290,63 @@ def test_the_photographs_settle_what_planes_leave_open(tmp_path):
     result = refinement.refine(model, [side], SimpleNamespace(poses=(bad, good), status="ambiguous"))
     assert result.status == "unique" and result.chosen == 1
     assert trials.pose_error(result.cameras[0].T_cam_world, camera)[0] < 0.1
-    result = refinement.refine(model, [side], SimpleNamespace(poses=(bad,), status="unproved"))
-    assert result.status == "not recognised"
+    for status in ("unproved", "unique"):
+        result = refinement.refine(model, [side], SimpleNamespace(poses=(bad,), status=status))
+        assert result.status == "not recognised" and result.support < refinement.LEAST
+
+
+# Symmetries.
+
+
+def boxed(folder, high, groups="a", move=(0.3, -2, 5)):
+    scene = Objects().add("box", box((0, 0, 0), high), BOX, groups)
+    return models.load(scene.write(folder / f"{'-'.join(map(str, high))}-{len(set(groups))}.obj", move=move))
+
+
+@pytest.mark.parametrize(
+    ("high", "groups", "alike", "exact"),
+    [
+        ((1, 1, 1), "a", 23, 23),
+        ((1, 1, 1), ["b", *"aaaaa"], 23, 3),
+        ((1, 1, 2), "a", 7, 7),
+        ((5, 4, 2.8), "a", 3, 3),
+    ],
+)
+def test_boxes_come_onto_themselves(tmp_path, high, groups, alike, exact):
+    """The turns of a cube, a square prism and a box, by the order of their groups."""
+    model = boxed(tmp_path, high, groups)
+    found = symmetry.motions(model)
+    assert len(found) == alike and sum(motion.is_exact for motion in found) == exact
+    for motion in found:
+        moved = model.vertices @ motion.T[:3, :3].T + motion.T[:3, 3]
+        assert np.linalg.norm(moved[:, None] - model.vertices[None], axis=2).min(axis=1).max() < 1e-9
+        assert np.linalg.det(motion.T[:3, :3]) == pytest.approx(1)
+
+
+def test_furniture_leaves_a_room_nearly_itself(tmp_path):
+    """Three half turns bring the walls onto themselves, and nothing brings the furniture."""
+    _, _, model, _ = trials.room_trial(1, tmp_path, 1)
+    found = symmetry.motions(model)
+    assert len(found) == 3 and not any(motion.is_exact for motion in found)
+    assert symmetry.motions(boxed(tmp_path, (1, 1.5, 1e-3))) != []
+
+
+@pytest.mark.parametrize(("groups", "status"), [("a", "symmetric"), (["b", *"aaaaa"], "ambiguous")])
+def test_a_cube_gets_an_answer_and_its_equals(tmp_path, groups, status):
+    """24 poses show the same edges; where one side is of another group, only four of them are the same."""
+    model, random = boxed(tmp_path, (1, 1, 1), groups, move=(0, 0, 0)), np.random.default_rng(0)
+    camera = look((2.4, 1.9, 1.7), (0.5, 0.5, 0.45))
+    side = rig_.Side(Camera(camera.K, camera.width, camera.height, np.eye(4)), trials.photograph(random, model, camera))
+    found = start(camera.T_cam_world, random, 0.5, 0.01)
+    found.status = "unproved"  # three facets of one size tell nothing; the photograph does
+    result = refinement.refine(model, [side], found)
+    assert result.status == status and len(result.ambiguous) == 23
+    assert trials.pose_error(result.cameras[0].T_cam_world, camera)[0] < 0.2
+    corners = lambda T: model.vertices @ T[:3, :3].T + T[:3, 3]
+    here = corners(result.cameras[0].T_cam_world)
+    for other in result.ambiguous:
+        there = corners(cameras.matrix_from_rt(other["rt_cam_world"]))
+        assert np.linalg.norm(there[:, None] - here[None], axis=2).min(axis=1).max() < 1e-6
 
 
 # The executable.

@@ -101,7 +101,9 @@ ROWS, COLUMNS = np.mgrid[:240, :320]
 
 def room(corner=150):
     """(labels of ceiling 1, walls 2 and floor 3; whether a pixel is right of the crease between the walls)."""
-    ceiling = np.where(corner > COLUMNS, 30 + 30 * COLUMNS / corner, 60 - 40 * (COLUMNS - corner) / (320 - corner))
+    ceiling = np.where(
+        corner > COLUMNS, 30 + 30 * COLUMNS / corner, 60 - 40 * (COLUMNS - corner) / np.maximum(320 - corner, 1e-9)
+    )
     floor = 250 - ceiling
     return 2 - (ceiling > ROWS) + (floor < ROWS), corner <= COLUMNS
 

@@ -147,3 +147,25 @@ def test_what_is_missing_is_left_out(office):
     errors = {name: value for _, name, value, _ in vision_errors.against_truth(found, true)}
     assert errors["pose.vertices_max_px"] < 1e-9 and errors["pose.vertices"] > 8
     assert vision_errors.against_truth(found, Answers()) == [] == vision_errors.against_truth(Answers(), true)
+
+
+def test_a_symmetric_pose_is_compared_with_its_nearest_equal(office):
+    """A model that comes onto itself after half a turn: either pose is as true as the other."""
+    _, camera, _ = office
+    half = cameras.matrix_from_rt([0, 0, np.pi, 4.0, 3.0, 0])
+    moved = cameras.matrix_from_rt([0, 0, 0, 0.003, 0, 0]) @ camera.T_cam_world @ half
+    rt = cameras.rt_from_matrix
+    said = {
+        "rt_cam_world": tuple(rt(moved)),
+        "covariance": np.eye(6).tolist(),
+        "ambiguous": [{"rt_cam_world": rt(moved @ half)}],
+    }
+    far, near = (
+        values(
+            (*row[1:],)
+            for row in vision_errors.against_truth(Answers(pose=Pose(**said, status=status)), Answers(posed=camera))
+        )
+        for status in ("ambiguous", "symmetric")
+    )
+    assert far["pose.angle_deg"] == pytest.approx(180) and near["pose.angle_deg"] == pytest.approx(0, abs=1e-6)
+    assert near["pose.centre_mm"] == pytest.approx(3, abs=1e-6)

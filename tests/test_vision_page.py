@@ -147,6 +147,11 @@ def test_other_poses_are_said(office):
     page = built(seen(office, pose=pose | {"ambiguous": [{"rt_cam_world": pose["rt_cam_world"]}]}))
     assert "1 other pose would explain the facets as well." in page.section("Where the camera is").text
     assert page.one("span", "badge").text == "Ambiguous" and "The pose is ambiguous: 1 other" in page.text
+    page = built(
+        seen(office, pose=pose | {"status": "symmetric", "ambiguous": [{"rt_cam_world": pose["rt_cam_world"]}]})
+    )
+    assert page.one("span", "badge").text != "Ambiguous"
+    assert "the model comes onto itself: as good as 1 other pose." in page.section("Where the camera is").text
 
 
 CAMERA = {

@@ -22,6 +22,7 @@ disparity.covered                share of the picture that they cover
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -230,6 +231,7 @@ def against_truth(found: Answers, true: Answers):
     errors = [("calibrate", *error) for error in _calibration(found, true)]
     errors += [("reconstruct", *error) for error in _disparity(found, true)]
     if true.posed is not None:
+        true = _in_the_same_turn(found, true)
         errors += [("recognise", *error) for error in _pose(found, true)]
         errors += [("reconstruct", *error) for error in _planes(found, true)]
     return errors
@@ -270,6 +272,17 @@ def _disparity(found: Answers, true: Answers):
     if any(part is None for part in needed):
         return []
     return disparity(found.facets.facets, found.camera, found.camera_right, found.surfaces, true.disparity)
+
+
+def _in_the_same_turn(found: Answers, true: Answers) -> Answers:
+    """A symmetric model has several true poses: the one that is nearest to what was found."""
+    if found.pose is None or found.pose.status != "symmetric":
+        return true
+    T, back = matrix_from_rt(found.pose.rt_cam_world), np.linalg.inv(true.posed.T_cam_world)
+    turns = [np.eye(4), *(np.linalg.solve(T, matrix_from_rt(o["rt_cam_world"])) for o in found.pose.ambiguous)]
+    nearest = min(turns, key=lambda turn: np.linalg.norm(T @ turn @ back - np.eye(4)))
+    posed = replace(true.posed, T_cam_world=true.posed.T_cam_world @ np.linalg.inv(nearest))
+    return replace(true, posed=posed)
 
 
 def _pose(found: Answers, true: Answers):

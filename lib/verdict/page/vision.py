@@ -342,8 +342,10 @@ def pose_section(vision: Vision, width):
         said.append(f"known to {number(sigma.degrees, 2)}° and {number(sigma.mm, 2)} mm (1 σ)")
     matched = len(vision.pose.matches)
     said.append(f"{matched} {plural(matched, 'facet')} matched")
-    if others := len(vision.pose.ambiguous):
+    if others := vision.pose.others:
         said.append(f"{others} other {plural(others, 'pose')} would explain the facets as well")
+    elif equal := len(vision.pose.ambiguous):
+        said.append(f"the model comes onto itself: as good as {equal} other {plural(equal, 'pose')}")
     photographs = {side: vision.photographs[side] for side in SIDES if vision.photographs.get(side) is not None}
     *steps, result = vision.wires or [None]
     return render(
