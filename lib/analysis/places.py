@@ -30,8 +30,8 @@ class Places:
 
     @property
     def is_lost(self) -> bool:
-        """The photograph hardly shows the model: nothing can be learnt from it."""
-        return self.registration is not None and self.registration.seen.is_lost
+        """The photograph does not show the model."""
+        return self.registration is not None and self.registration.seen.is_lost and bool(self.why)
 
     def allowed(self, causes) -> bool:
         """All of it may be taken. causes : that may be, as scene.yaml has them"""
@@ -46,22 +46,24 @@ def by_edges(view: View, lamps) -> Places:
     except (ImportError, NoGraphics):
         return Places(None, [], [])
     if found.seen.is_lost:
-        return Places(found, [], [_lost(view, found)])
+        return Places(found, [], _lost(view, found))
     pairs = [*_camera(found), *(_thing(found, view.model, name, lamps) for name in found.objects)]
     pairs.sort(key=lambda pair: -(pair[0].evidence_nats or 0))
     return Places(found, *([pair[k] for pair in pairs] for k in (0, 1)))
 
 
 def _lost(view, found):
-    """Why where the photograph hardly shows the model's edges."""
+    """[Why] the photograph hardly shows the model's edges; [] where these are so few that it may be by chance."""
     slip = mistake(view.model, view.camera, view.photograph, found.seen)
     if slip is not None:
-        return Why(slip.cause, None, slip.text, None)
+        return [Why(slip.cause, None, slip.text, None)]
+    if not found.seen.is_surely_lost:
+        return []
     text = (
         f"the photograph has {found.seen.found:.0%} of the model's edges, hardly more than by chance"
         f" ({found.seen.chance:.0%}): the camera, the model's unit or its axes are not as given"
     )
-    return Why("camera", None, text, None)
+    return [Why("camera", None, text, None)]
 
 
 def _camera(found):

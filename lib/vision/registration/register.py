@@ -287,24 +287,35 @@ class Registrar:
 
 
 class Seen(NamedTuple):
-    """Shares of the model's edges. found : that the photograph has;  chance : that it has 8 px beside them, too"""
+    """Shares of the model's edges. found : that the photograph has;  chance : that it has 8 px beside them, too
+
+    pieces : of edges that were looked at
+    """
 
     found: float
     chance: float
+    pieces: float = np.inf
 
     @property
     def is_lost(self):
-        """The photograph hardly shows these edges: another place, another model, or other units."""
+        """The photograph hardly shows these edges: nothing can be learnt from them."""
         return self.found < self.chance + LOST * (1 - self.chance)
+
+    @property
+    def is_surely_lost(self):
+        """Not by chance, of few edges: another place, another model, or other units."""
+        unsure = np.sqrt(self.found * (1 - self.found) / max(self.pieces, 1))
+        return self._replace(found=self.found + unsure).is_lost
 
 
 def seen(pieces, near_px=2.5, beside_px=8.0) -> Seen:
     """How many pieces of edges are where they should be."""
     if len(pieces.edge) == 0:
-        return Seen(0.0, 0.0)
+        return Seen(0.0, 0.0, 0.0)
     hit = lambda x: ((np.abs(pieces.offset - x) < near_px) & (pieces.share > 0)).any(axis=1)
     beside = (hit(0.0 - beside_px).astype(float) + hit(beside_px)) / 2
-    return Seen(*(float(np.average(h, weights=pieces.weight)) for h in (hit(0.0), beside)))
+    w = pieces.weight
+    return Seen(*(float(np.average(h, weights=w)) for h in (hit(0.0), beside)), float(w.sum() ** 2 / (w**2).sum()))
 
 
 def missing(world, sight, near_px=2.5, beside_px=8.0):
