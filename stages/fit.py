@@ -17,7 +17,6 @@ writes  materials     per group: its kind, rho_d, rho_s, alpha, tangent with sig
                       all is to be made again from them then, and the materials are rough
 """
 
-import functools
 import os
 import sys
 from pathlib import Path
@@ -72,9 +71,10 @@ def main(opt):
             import scipy.sparse  # noqa: F401  where lib/ imports late
 
             from lib.analysis import describe, inversion
+            from lib.analysis.task import Task
             from lib.given import materials
         with report.timing("read"):
-            task = task_of(opt)
+            task = Task.read(opt)
         with report.timing("fit"):
             answer = inversion.solve(task, report) if opt.method == "gauss-newton" else by_the_paper(opt, task, report)
         result = answer.result
@@ -85,6 +85,7 @@ def main(opt):
             task.found,
             scale=answer.scale,
             transfer=opt.transfer,
+            curve=task.curve,
             explained=answer.explained,
             lobes=task.lobes,
             refined=task.refined,
@@ -104,67 +105,6 @@ def main(opt):
         if answer.refined is not None:
             answer.refined.write(opt.camera_out, opt.model_out, opt.causes_out)
         materials.write(opt.materials, described)
-
-
-def task_of(opt):
-    """What the files and the options give."""
-    from lib.analysis import facts, gather, lamp_lobe
-    from lib.analysis.inversion import Task
-    from lib.given import cameras, materials
-    from lib.light import factors_file
-
-    factors, found = factors_file.read(opt.formfactors), gather.read(opt.gather)
-    audit = gather.read(opt.audit) if opt.audit else None
-    held = None if audit is None else (len(audit.visible), audit.tiles.rows.columns)
-    if held not in (None, (len(factors.groups), len(factors.area))):
-        raise stage.BadInput(f"{opt.audit}: groups, patches: {held[0]}, {held[1]} are not those of {opt.formfactors}")
-    transfer = opt.transfer
-    if isinstance(transfer, dict) and "curve" in transfer:
-        if not opt.curve:
-            raise stage.BadInput("--curve: missing, and --transfer names one")
-        transfer = materials.read_curve(opt.curve)
-    shown = opt.audit and opt.camera and opt.model and opt.photograph and opt.facet
-    view = functools.cache(lambda: view_of(opt, factors))
-    if shown:
-        factors, found, audit = gather.with_outside(view, factors, found, audit)
-    lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
-    if opt.lobes and not shown:
-        raise stage.BadInput("--lobes: without --audit, --camera, --model, --photograph and --facet")
-    lambertian = factors, found
-    if lobes:
-        factors, found, audit = lamp_lobe.in_lobes(view(), factors, lobes, found, audit)
-    return Task(
-        problem=facts.problem_of(factors, found, lamps=opt.lamps, reference=opt.reference, transfer=transfer),
-        found=found,
-        factors=factors,
-        camera=cameras.read_cameramodel(opt.camera) if opt.camera else None,
-        view=view if shown else None,
-        audit=audit,
-        lamps=opt.lamps,
-        place_sigma_m=opt.place_sigma_m,
-        lobes=lobes,
-        lambertian=lambertian,
-        lobes_unknown=opt.lobes.keys() - lobes.keys(),
-        surfaces=opt.surfaces,
-        transfer=opt.transfer,
-        causes=opt.explain,
-        gamma=opt.gamma,
-        threshold=opt.threshold,
-        lobe_rays=opt.lobe_rays,
-        may_refine=bool(opt.causes_out),
-        refined=materials.read_causes(opt.refined_causes) if opt.refined_causes else [],
-        options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance},
-    )
-
-
-def view_of(opt, factors):
-    """The photograph with its camera and the model that the factors are of."""
-    from lib.given.view import View
-    from lib.light import factors_file
-
-    view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph, facet=opt.facet)
-    factors_file.check(factors, opt.formfactors, view.model, opt.model)
-    return view
 
 
 def by_the_paper(opt, task, report):

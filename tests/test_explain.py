@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lib.analysis import agreement, explain
+from lib.analysis import agreement, explain, unlike
+from lib.analysis.audit import Energy
 from lib.analysis.explain import Leave
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Halves
@@ -46,6 +47,74 @@ def test_a_vignetted_lens_is_found_and_taken():
     assert np.abs(shape(found.values["vignetting"]["k"]) - shape(K)).max() < 0.02
     off = np.abs(found.result.state.rho - rho)[1:]
     assert off.max() < 0.01 and (off < 4 * found.result.sigma_rho[1:] + 1e-4).all()
+
+
+@pytest.mark.parametrize("far", [0, 4])
+def test_a_shadow_whose_corners_are_hardly_seen(far):
+    """Flat tiles stand in the middle, and a few far out: no outliers. What none sees is as lenses have it."""
+    problem, rho = photographed()
+    pixel, r2 = scattered(problem), LENS.radius2(np.arange(SIZE[0] * SIZE[1]))
+    inner, outer = np.flatnonzero(r2 < 0.4), np.flatnonzero((r2 > 0.7) & (r2 < 0.8))
+    tile = np.repeat(np.arange(len(problem.tile_group)), problem.n_pixels)
+    pixel = np.where(tile % len(problem.tile_group) < far, outer[pixel % len(outer)], inner[pixel % len(inner)])
+    k = (-1.12, 0.8, -0.28)  # cos^4, 37 degrees at the corner
+    found = explain.explain(darkened(problem, pixel, k), Leave(lens=LENS, pixel=pixel), max_iterations=40)
+    assert [t.cause for t in found.taken] == ["vignetting"]
+    V = lambda k, r2: 1 + sum(value * r2 ** (j + 1) for j, value in enumerate(k))
+    off = lambda r2: abs(V(found.values["vignetting"]["k"], r2) - V(k, r2))
+    assert off(0.35) < 0.01 and off(0.75) < (0.02 if far else 0.1) and off(1.0) < 0.2
+    assert np.abs(found.result.state.rho - rho)[1:].max() < 0.01
+
+
+def test_an_object_of_another_material_is_no_cause():
+    """One of a group's two objects reflects 1.4 times as much: no gamma, curve or lens is tried for that."""
+    problem, _ = photographed()
+    thing = np.arange(len(problem.tile_group)) % 2
+    other = np.repeat((problem.tile_group == 2) & (thing == 1), problem.n_pixels)[:, None]
+    light = problem.transfer.linear(problem.pixels) * np.where(other, 1.4, 1.0)
+    problem = replace(problem, tile_object=thing, pixels=problem.transfer.display(light))
+    found = explain.explain(problem, Leave(lens=LENS, pixel=scattered(problem)), max_iterations=40)
+    assert found.taken == []
+    most = max(unlike.objects(problem, found.result), key=lambda one: one.nats)
+    assert (most.group, most.thing) == (2, 1) and most.nats > 10 and 1.15 < most.ratio.mean() < 1.5
+
+
+@pytest.mark.parametrize(("exposure", "named"), [(1.0, True), (0.01, False)])
+def test_in_the_dark_an_object_is_of_its_group(exposure, named):
+    """A fifth of little light is less than what light in dark corners is off by."""
+    problem, _ = photographed()
+    thing = np.arange(len(problem.tile_group)) % 2
+    other = np.repeat((problem.tile_group == 2) & (thing == 1), problem.n_pixels)[:, None]
+    light = exposure * problem.transfer.linear(problem.pixels) * np.where(other, 1.4, 1.0)
+    emittance = exposure * problem.emittance
+    shown = replace(problem, tile_object=thing, emittance=emittance, pixels=problem.transfer.display(light))
+    assert bool(unlike.objects(shown, explain.started(shown, Leave()).result)) == named
+
+
+@pytest.mark.parametrize("times", [1.05, 0.8, (1.2, 1.0, 0.9)])
+def test_lamps_that_are_told_wrongly_promise_more_than_any_cause(times):
+    problem, _ = photographed()
+    pixel = scattered(problem)
+    leave = Leave(lens=LENS, pixel=pixel)
+    wrong = replace(problem, emittance=problem.emittance * times)
+    found = {"right": problem, "wrong": wrong, "dark": darkened(problem, pixel)}
+    first = {name: explain.started(one, leave) for name, one in found.items()}
+    promised = {name: explain.promises(one, leave) for name, one in first.items()}
+    alone = lambda name: explain.lamps_alone(first[name], promised[name])
+    assert max(promised["right"].values()) < 10
+    assert max(promised["dark"], key=promised["dark"].get) == "vignetting"
+    assert max(promised["wrong"], key=promised["wrong"].get) == explain.LAMPS
+    assert alone("right") is None is alone("dark")
+    found = alone("wrong").result.state.E
+    assert np.abs(found / problem.emittance - 1).max() < 0.02
+
+
+def test_what_a_table_leaves_is_not_held_against_a_lamp():
+    """A mirror's own pixels differ by far more than what a lamp that was moved explains; a small group's by less."""
+    before = Energy(flagged=0.2, all=1.0)
+    assert before.is_explained_by(Energy(0.2, 0.4)) and not before.is_explained_by(Energy(0.2, 0.9))
+    assert Energy(8, 9).is_explained_by(Energy(2, 8)) and not Energy(8, 9).is_explained_by(Energy(7, 7.5))
+    assert Energy(0, 0).is_explained_by(Energy(0, 0))
 
 
 def test_a_clean_lens_takes_no_cause():

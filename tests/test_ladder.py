@@ -321,10 +321,17 @@ def test_a_printed_pattern_is_a_texture(room):
 def test_a_glossy_floor_at_a_grazing_view(grazing):
     """Seen at 5 to 15 degrees: the walls are mirrored in it more than the lamp."""
     found, _ = grazing.found({"bottom": (0.15, 0.3, 0.3)})
-    assert kinds(found) == {"bottom": "glossy"}
+    assert kinds(found) == {"bottom": "glossy"} and found["status"] == "converged"
     for name, true in (("rho_d", 0.3), ("rho_s", 0.3), ("alpha", 0.15)):
         assert off(found["groups"]["bottom"], name, true) < 1, found["groups"]["bottom"]
     agree(found, but=("bottom",))
+
+
+@pytest.mark.scene
+def test_a_wrong_gamma_is_named_beside_a_glossy_floor(grazing):
+    """The lobe takes most of what a curve promised, and the values are 5 % off."""
+    found, _ = grazing.found({"bottom": (0.15, 0.3, 0.3)}, transfer={"gamma": 2.0})
+    assert found["status"] == "does not fit" and found["why"][0]["cause"] == "transfer"
 
 
 @takes_long

@@ -46,6 +46,23 @@ def of_parts(parts):
 # ---- what is there, and only that ----
 
 
+def test_what_does_not_fit_is_no_finding():
+    files = everything()
+    found = files["materials"]
+    wall = found["groups"]["wall"] | {"identified": False, "sigma": {"rho_d": None}}
+    transfer = found["transfer"] | {"sigma": None, "asked": "auto"}
+    why = [
+        {"cause": "lamp_power", "subject": "lamp", "text": "lamp 'lamp': 0.8 times its emittance", "evidence_nats": 99}
+    ]
+    wrong = {"status": "does not fit", "groups": found["groups"] | {"wall": wall}, "transfer": transfer, "why": why}
+    page = of_parts(parts_of(files | {"materials": found | wrong}))
+    assert (
+        page.one("span", "badge").text == "Does not fit" and "gamma 2.004 (no finding)" in page.one("p", "verdict").text
+    )
+    rows = {row[1].split()[0]: row for row in page.section("Materials").one("table").rows()}
+    assert "no finding: the photograph does not fit" in rows["wall"][1] and "±" not in rows["wall"][2]
+
+
 def test_everything():
     page = of_parts(parts_of(everything()))
     verdict = page.one("p", "verdict").text

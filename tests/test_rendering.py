@@ -356,7 +356,9 @@ def test_phong_finds_its_two_numbers(office):
     lamps = lamps_.emitters(s.surface, s.factors.lamps)
     r = s.appearance.rho[s.surface.group[picture.pixels.facet]]
     lit = phong.phong(s.surface, lamps, picture.pixels.p, picture.pixels.side, s.appearance.E)
-    ambient, power = phong.ambient_and_power(r, lit, (r * (0.3 + 0.7 * lit)) ** 0.5, lambda B: np.maximum(B, 0) ** 0.5)
+    ambient, power = phong.ambient_and_power(
+        r, lit, (r * (0.3 + 0.7 * lit)) ** 0.5, lambda c, B: np.maximum(B, 0) ** 0.5
+    )
     assert ambient == pytest.approx([0.3], rel=1e-3) and power == pytest.approx([0.7], rel=1e-3)
 
 

@@ -239,6 +239,27 @@ def test_a_measured_response_may_mix_colours(tmp_path):
     np.testing.assert_allclose(function.linear(function.display(light)), light, atol=2e-3)
 
 
+THREE = {
+    "linear": [list(np.linspace(0, 1, 200) ** gamma) for gamma in (1.8, 2.2, 2.6)],
+    "display": list(np.linspace(0, 1, 200)),
+}
+
+
+def test_a_measured_response_of_three_channels(tmp_path):
+    """Each channel has its curve; the photograph under the green one's shows the same light."""
+    function = materials.read_curve(written(tmp_path, **THREE, matrix=MIXING))
+    light = np.random.default_rng(2).uniform(0.05, 0.7, (20, 3))
+    shown = function.display(light)
+    np.testing.assert_allclose(shown, (light @ np.transpose(MIXING)) ** (1 / np.array([1.8, 2.2, 2.6])), atol=2e-3)
+    np.testing.assert_allclose(function.linear(shown), light, atol=1e-9)
+    np.testing.assert_allclose(function.common.linear(function.in_common(shown)), light, atol=1e-9)
+    np.testing.assert_allclose(function.in_common(shown)[..., 1], shown[..., 1], atol=1e-9)
+    found = FoundTransfer("curve", linear=tuple(map(tuple, THREE["linear"])), display=tuple(THREE["display"]))
+    materials.write(tmp_path / "materials.json", Materials("converged", {}, transfer=found))
+    read = materials.read(tmp_path / "materials.json").transfer.function
+    np.testing.assert_array_equal(read.display(light), function.bare.display(light))
+
+
 def test_the_rival_of_a_measured_response_that_is_another_cameras(tmp_path):
     problem, _ = photographed(sigmoid)
     problem = replace(problem, transfer=materials.read_curve(written(tmp_path)), fit_transfer=False)
@@ -251,6 +272,8 @@ def test_the_rival_of_a_measured_response_that_is_another_cameras(tmp_path):
         ({"kind": "gamma", "gamma": 2.2}, "kind: 'gamma'"),
         ({"display": [0, 1]}, "display = [0, 1]"),
         ({"display": list(np.linspace(0, 1, 100))}, "display: 100 values"),
+        ({"linear": [list(np.linspace(0, 1, 100))] * 3}, "display: 256 values"),
+        ({"linear": [list(np.linspace(0, 1, 256))] * 2}, "linear = "),
         ({"matrix": [[1, 0, 0], [1, 0, 0], [0, 0, 1]]}, "matrix: "),
     ],
 )

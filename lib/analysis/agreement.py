@@ -25,6 +25,7 @@ FITS = 1.2  # error that neighbouring tiles have in common, in what noise explai
 # 2 px off has 1.3 to 2.6, a lamp 12 cm off 4 to 8
 DOUBT = 0.4  # of the same, from which it is worth while to look further
 OFF = 0.02  # relative difference of a lamp from what is told that is worth a word
+SURE = 3  # standard deviations of the same, where they are known
 SETTLES = 0.3  # of the tiles' typical residual: what leaves no more is all that is wrong
 TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
 ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which nothing found is believed
@@ -113,24 +114,26 @@ def lamps_told(problem, result) -> tuple[list[Why], bool]:
         return [], False
     state, nats = result.state, evidence(problem, result.at).nats
     start = Unknowns(state.rho, state.E, state.transfer)
-    if _one_step(freed(problem), start) - nats < enough(problem):
+    if _freed_by_one_step(problem, start) - nats < enough(problem):
         return [], False
     free = Candidate.of(freed(problem), start=start)
     gain = free.evidence.nats - nats
     if gain < enough(problem):
         return [], False
     little = free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
-    return lamps_of(problem, free, gain), little and fits(gauss_newton(free.problem, start=free.start))
+    found = gauss_newton(free.problem, start=free.start)
+    return lamps_of(problem, found, gain), little and fits(found)
 
 
-def lamps_of(problem, freed: Candidate, nats, spared=()) -> list[Why]:
-    """Emittances that are told and differ from those that were found where they were free.
+def lamps_of(problem, found: Result, nats, spared=()) -> list[Why]:
+    """Emittances that are told and differ from those of a fit in which they were free.
 
     spared : causes that these make needless
     """
-    ratio = freed.result.state.E / np.maximum(problem.emittance, 1e-12)
-    off = [k for k in np.flatnonzero(problem.own_lamps) if np.abs(ratio[k] - 1).max() > OFF]
-    return [_lamp(problem.lamps[k], ratio[k], nats, spared) for k in off]
+    told = np.maximum(problem.emittance, 1e-12)
+    ratio, unsure = found.state.E / told, 0.0 if found.sigma_E is None else found.sigma_E / told
+    far = (np.abs(ratio - 1) > np.maximum(OFF, SURE * unsure)).any(axis=1)
+    return [_lamp(problem.lamps[k], ratio[k], nats, spared) for k in np.flatnonzero(problem.own_lamps & far)]
 
 
 def are_told(problem) -> bool:
@@ -153,12 +156,18 @@ def _lamp(name, ratio, gain, spared):
     return Why("lamp_colour" if coloured else "lamp_power", name, text, float(gain))
 
 
-def _one_step(problem, at: Unknowns):
-    """Nats that one step from `at` brings, with what this problem leaves free."""
-    equations = Equations(problem, TileLight(problem), Layout.of(problem), at)
+def promise_of_lamps(found: Candidate) -> float:
+    """Nats that one step brings in which the emittances that are told are free."""
+    return _freed_by_one_step(found.problem, found.start) - found.evidence.nats
+
+
+def _freed_by_one_step(problem, at: Unknowns):
+    """Nats after one step from `at` with free lamps."""
+    free = freed(problem)
+    equations = Equations(free, TileLight(free), Layout.of(free), at)
     gradient, H = equations.prior()
-    predicted = held_out(problem, equations.residual, equations.jacobian, gradient, H)
-    return likelihood(predicted, noise_variance(problem, equations)).nats
+    predicted = held_out(free, equations.residual, equations.jacobian, gradient, H)
+    return likelihood(predicted, noise_variance(free, equations)).nats
 
 
 def _open_model(problem, result):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from lib.analysis import misfits
 from lib.analysis.explain import Explained
@@ -11,6 +12,20 @@ from lib.analysis.problem import Problem, Result
 from lib.analysis.receivers import Receivers, unplaced
 
 LEFT = 0.25  # of the energy of all groups that differed which may be left where a lamp is what was wrong
+
+
+class Energy(NamedTuple):
+    """What groups are off by, squares summed over pixels: those that no diffuse surface explains, and all."""
+
+    flagged: float
+    all: float
+
+    def is_explained_by(self, other: Energy) -> bool:
+        """Another explanation leaves few of the flagged groups' errors, or less than what it takes from all groups.
+
+        Where the light of a mirror was taken for a lamp's, the mirror's own pixels still differ by far more.
+        """
+        return other.flagged <= max(LEFT * self.flagged, self.all - other.all)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +60,11 @@ class Audit:
         """The groups that a diffuse surface does not explain. judged : of `misfits`"""
         return misfits.flagged(problem, judged, self.given, self.threshold)
 
-    def energy(self, problem: Problem, result: Result, direct=None) -> float:
-        """Of the groups that a diffuse surface does not explain, all together. direct : of `misfits`"""
+    def energy(self, problem: Problem, result: Result, direct=None) -> Energy:
+        """direct : of `misfits`"""
         judged = self.misfits(problem, result, direct)
-        return sum(judged[g].energy for g in self.flagged(problem, judged) if g in judged)
+        flagged = sum(judged[g].energy for g in self.flagged(problem, judged) if g in judged)
+        return Energy(flagged, sum(m.energy for m in judged.values() if m.judged))
 
     def doubt(self, problem: Problem, result: Result, judged, places=None):
         """Widen sigma of groups that differ all the same, and say so."""

@@ -26,12 +26,14 @@ class Candidate:
     """A rough fit, and what it predicts of tiles that it has not seen.
 
     taken : {cause: its values}, of the causes that this explanation holds
+    asked : {question: its answer}, of `once`
     """
 
     problem: Problem
     result: Result
     evidence: Evidence
     taken: dict = field(default_factory=dict)
+    asked: dict = field(default_factory=dict)
 
     @classmethod
     def of(cls, problem, taken=None, **options) -> Candidate:
@@ -60,6 +62,12 @@ class Candidate:
         """Where the next fit begins."""
         state = self.result.state
         return Unknowns(state.rho, state.E, state.transfer)
+
+    def once(self, question, ask):
+        """The answer of ask(self), which is asked only once: what costs a fit is needed in several places."""
+        if question not in self.asked:
+            self.asked[question] = ask(self)
+        return self.asked[question]
 
     def beats(self, other: Candidate) -> bool:
         """By enough, and the typical tile is no worse."""

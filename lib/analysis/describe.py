@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lib.analysis import matrix
+from lib.analysis import matrix, vignetting
 from lib.analysis.climbing import SPECULAR, Climb, Place
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import MISFIT, Problem, Result, group_rmse
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 NONE = (0.0, 0.0, 0.0)
 CURVE_SAMPLES = 256
+FACTS = {"lamp_power", "lamp_colour", "lamp_flipped", "transfer", "range", "units", "up_axis", "camera"}  # told wrongly
 
 
 def describe(
@@ -36,6 +37,7 @@ def describe(
     explained: Explained,
     refined=(),
     why=(),
+    curve=None,
     lobes=None,
     climb: Climb | None = None,
     textures: dict[int, Textured] | None = None,
@@ -44,11 +46,13 @@ def describe(
 
     refined : [Cause] for which camera or model are not as given
     lobes : {lamp: (4,)} as scene.yaml has them
+    curve : that scene.yaml tells, of three channels
     transfer : as scene.yaml has it, or None;  why : [Why] where photograph and given facts do not agree
     climb : where a group is not diffuse;  textures : by group
     """
     errors = group_rmse(problem, result.tile_residual)
     specular = () if climb is None or climb.finish is None else climb.finish.groups
+    wrong = any(w.cause in FACTS for w in why)  # no residual tells how far values are off that rest on this
     groups = {}
     for g, name in enumerate(problem.groups):
         if name in problem.lamps:
@@ -57,7 +61,9 @@ def describe(
         if climb is not None:
             group = _of_rung(group, climb, g, (textures or {}).get(g))
         known = g in problem.known_groups and g not in specular
-        groups[name] = replace(group, identified=False) if why and not known else group
+        if why and not known:
+            group = replace(group, identified=False, sigma=Sigma() if wrong else group.sigma)
+        groups[name] = group
     nothing = len(problem.tile_group) == 0
     status = "nothing seen" if nothing else "converged" if result.converged and result.balanced else "not converged"
     status = "does not fit" if why and not nothing else status
@@ -67,8 +73,11 @@ def describe(
     for k in np.flatnonzero(problem.own_lamps):
         name = problem.lamps[k]
         lamp = _lamp(problem, result, k, scale, explained, lobes or {}, moved)
-        lamps[name] = replace(lamp, identified=False) if why and lamp.identified else lamp
-    function = _transfer(problem, result, transfer, explained.rivals)
+        if why and lamp.identified:
+            lamp = replace(lamp, identified=False, sigma=None if wrong else lamp.sigma)
+        lamps[name] = lamp
+    function = _transfer(problem, result, transfer, explained.rivals, curve)
+    function = replace(function, sigma=None) if wrong else function
     fit = Fit(rmse, int(result.iterations))
     causes = sorted([*refined, *_causes(explained, result)], key=lambda cause: -(cause.evidence_nats or 0))
     return Materials(status, groups, lamps, function, scale, fit, causes, list(why))
@@ -106,8 +115,8 @@ def _found(explained: Explained, result, name):
         values = {"k": list(map(float, values["k"])), "centre_px": list(values["centre_px"])}
         if result.cov_cause is not None:
             own = explained.problem.cause.of(name)
-            values["k"] = [float(k) for k in values["k"] + result.state.cause[own]]
-            return [(None, values, {"k": [float(s) for s in np.sqrt(np.diag(result.cov_cause))[own]]})]
+            values["k"] = (values["k"] + vignetting.change(result.state.cause[own])).tolist()
+            return [(None, values, {"k": vignetting.sigma(result.cov_cause[np.ix_(own, own)])})]
     return [(None, dict(values), None)]
 
 
@@ -217,8 +226,8 @@ def _lobe(lobe) -> Lobe:
     return Lobe(tuple(map(float, lobe[:3])), float(lobe[3]))
 
 
-def _transfer(problem, result, asked, rivals) -> FoundTransfer:
-    """asked : as in scene.yaml, or None;  rivals : {kind: nats}"""
+def _transfer(problem, result, asked, rivals, curve) -> FoundTransfer:
+    """asked : as in scene.yaml, or None;  rivals : {kind: nats};  curve : told, of three channels, or None"""
     transfer = result.state.transfer
     kind = asked if asked in OF_PICTURE else transfer.kind
     told = {"asked": asked if isinstance(asked, str) else None, "rivals": rivals or None}
@@ -230,10 +239,16 @@ def _transfer(problem, result, asked, rivals) -> FoundTransfer:
     if kind != "curve":
         return FoundTransfer(kind, **told)
     I = np.linspace(0, 1, CURVE_SAMPLES)
-    linear = transfer.bare.linear(I)
-    linear[0], linear[-1] = 0, 1
+    own = curve.channels if curve else (transfer.bare,)
+    linear = np.array([function.linear(I) for function in own])
+    linear[:, 0], linear[:, -1] = 0, 1
+    linear = tuple(map(tuple, linear.tolist()))
     return FoundTransfer(
-        kind, linear=tuple(linear.tolist()), display=tuple(I.tolist()), sigma=_curve_sigma(problem, result, I), **told
+        kind,
+        linear=linear if curve else linear[0],
+        display=tuple(I.tolist()),
+        sigma=_curve_sigma(problem, result, I),
+        **told,
     )
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lib.analysis import glow, lamp_lobe, matrix, responses, vignetting
-from lib.analysis.agreement import are_told, fits, freed, in_doubt, lamps_of, out_of_range
+from lib.analysis import glow, lamp_lobe, matrix, responses, unlike, vignetting
+from lib.analysis.agreement import are_told, fits, freed, in_doubt, lamps_of, out_of_range, promise_of_lamps
 from lib.analysis.candidates import MIXING, NATS, USUAL, Candidate, enough
 from lib.analysis.equations import Unknowns
 from lib.analysis.facts import USUAL_GAMMA
@@ -25,8 +25,11 @@ from lib.given.falloff import Lens
 from lib.given.materials import Why
 from lib.given.view import View
 
+LAMPS, OBJECT = "lamps", "object"  # what may be wrong that is no cause: emittances that are told, one reflectance
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
 HOPELESS = 0.015  # display, median of the tiles: no other start of gamma explains what is so far off
+NEARLY = 0.5  # of the most that a cause promises, from which another is fitted beside it: .35 were the most in 16 rooms
+STUCK = 0.05  # of what a cause has brought: right ones leave .03, one beside a gamma of 5.6 for 2.2 leaves .17
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
 
@@ -125,6 +128,7 @@ class Leave:
 
     lens, pixel : where the pixels (M,) of the tiles lie; None: nothing is known of the lens
     lobes : of the lamps, None where nothing is known of the ways of their light
+    vain : nothing can be learnt from such values
     """
 
     response: bool = True
@@ -132,15 +136,15 @@ class Leave:
     lens: Lens | None = None
     pixel: object = None
     lobes: LampLobes | None = None
+    vain: bool = False
 
     @classmethod
     def of(cls, camera, found: Gathered, transfer, causes, lobes=None) -> Leave:
         """camera : Camera or None;  transfer, causes : of scene.yaml, None: all that is left open"""
         lens = None if camera is None else Lens((camera.K[0, 2], camera.K[1, 2]), (camera.width, camera.height))
         causes = tuple(BUILT if causes is None else causes)
-        causes = () if out_of_range(found) else causes  # nothing can be learnt from such values
         response = transfer in (None, "auto") and "curve" in causes
-        return cls(response, causes, lens, found.tiles.pixel, None if out_of_range(found) else lobes)
+        return cls(response, causes, lens, found.tiles.pixel, lobes, vain=out_of_range(found))
 
 
 def explain(problem: Problem, leave: Leave, **options) -> Explained:
@@ -148,16 +152,22 @@ def explain(problem: Problem, leave: Leave, **options) -> Explained:
 
     options : of gauss_newton.gauss_newton
     """
-    found = without_lobes(problem, leave, **options)
-    options.pop("gamma", None)
+    first = started(problem, leave, options.pop("gamma", None), options.get("trace"))
+    found = without_lobes(first, leave, **options)
     return with_lobes(found, leave, **options).kept(**options)
 
 
-def without_lobes(problem: Problem, leave: Leave, **options) -> Explained:
-    """The fit with the causes that are of the camera alone."""
-    if not len(problem.tile_group):
-        return Explained(problem, *fit(problem, **options), lens=leave.lens)
-    first = _begun(problem, leave, options.pop("gamma", None), options.get("trace"))
+def started(problem: Problem, leave: Leave, gamma=None, trace=None) -> Candidate | Problem:
+    """The rough fit under the given facts; the problem itself where nothing can be learnt from one."""
+    in_vain = leave.vain or not len(problem.tile_group)
+    return problem if in_vain else Candidate.of(problem, trace=trace, gamma=gamma)
+
+
+def without_lobes(first: Candidate | Problem, leave: Leave, **options) -> Explained:
+    """The fit with the causes that are of the camera alone. first : of `started`"""
+    if isinstance(first, Problem):
+        return Explained(first, *fit(first, **options), lens=leave.lens)
+    first = _begun(first, leave)
     return _finished(first, first, [], leave, options)
 
 
@@ -186,20 +196,47 @@ def with_lobes(found: Explained, leave: Leave, **options) -> Explained:
     return found
 
 
+def lamps_alone(first: Candidate, promised: dict) -> Candidate | None:
+    """The fit with lamps of any emittance, where free ones promise more than any cause and keep it.
+
+    Right ones promise nothing, and beside other causes at most a third of what these do. promised : of `promises`
+    """
+    most = max(promised.values())
+    if promised.get(LAMPS, -np.inf) < most:
+        return None
+    free = Candidate.of(freed(first.problem), start=first.start)
+    return free if free.evidence.nats - first.evidence.nats >= most else None
+
+
+def promises(first: Candidate, leave: Leave) -> dict:
+    """{cause: nats} that one step brings: of the causes of the camera, of LAMPS that are told, of one OBJECT."""
+    found = _promises(first, leave) | {OBJECT: _of_one_object(first)}
+    return found | ({LAMPS: first.once(LAMPS, promise_of_lamps)} if are_told(first.problem) else {})
+
+
 def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
     """Emittances that are told, where causes suffice, but others do so with fewer, or with as many explain more."""
-    told = found.given.problem
+    told, best = found.given.problem, found.best
     if not found.taken or not are_told(told) or not fits(found.result):
         return []
-    free, taken, _ = _climbed(Candidate.of(freed(told), start=found.given.start), leave)
-    gain, least = free.evidence.nats - found.best.evidence.nats, enough(told)
+    free, taken = _with_free_lamps(found, leave)
+    gain, least = free.evidence.nats - best.evidence.nats, enough(told)
     if gain < least and (gain < -least or len(taken) >= len(found.taken)):
         return []
-    if not fits(fit(free.problem, start=free.start, **options)[0]):
+    result, _ = fit(free.problem, start=free.start, **options)
+    if not fits(result):
         return []  # what is wrong is something else, to which the lamps bend too
-    seen = replace(told, emittance=found.best.problem.transfer.mixed(told.emittance))  # as the camera has them
+    seen = replace(told, emittance=best.problem.transfer.mixed(told.emittance))  # as the camera has them
     spared = [t.name for t in found.taken if t.cause not in {u.cause for u in taken}]
-    return lamps_of(seen, free, gain, spared if gain < least else ())
+    return lamps_of(seen, result, gain, spared if gain < least else ())
+
+
+def _with_free_lamps(found: Explained, leave: Leave):
+    """(Candidate, [Taken]): the best explanation by lamps of any emittance, and causes where these do not suffice."""
+    first = Candidate.of(freed(found.given.problem), start=found.given.start)
+    if len(found.taken) > 1 or first.evidence.nats >= found.best.evidence.nats - enough(first.problem):
+        return _climbed(first, leave)[:2]
+    return Candidate.of(freed(found.best.problem), found.best.taken, start=found.best.start), found.taken
 
 
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:
@@ -219,21 +256,22 @@ def _lobed(base: Candidate, lobes: LampLobes, hopeless) -> Candidate | None:
     """
     uneven = lamp_lobe.uneven(base, lobes)
     tries = hopeless or lobes.asked or uneven.is_worth(base)
-    return lamp_lobe.begun(base, uneven, lobes) if tries else None
+    if not tries or not lobes.asked and _is_one_object(base, uneven.evidence.nats - base.evidence.nats):
+        return None
+    return lamp_lobe.begun(base, uneven, lobes)
 
 
-def _begun(problem: Problem, leave: Leave, gamma, trace) -> Candidate:
+def _begun(first: Candidate, leave: Leave) -> Candidate:
     """The rough fit under the given facts, from other gammas as well where it leaves something to explain.
 
     gamma and the reflectances share a valley: dark photographs have another minimum beyond gamma 4.
     """
-    first = Candidate.of(problem, trace=trace, gamma=gamma)
-    promise = responses.promise(first)
-    if not _searches_gamma(first) or promise < enough(problem):
+    promise = first.once("response", responses.promise)
+    if not _searches_gamma(first) or promise < enough(first.problem) or _is_one_object(first, promise):
         return first
-    if _may_glow(first, leave) and glow.promise(first) > promise:
+    if _may_glow(first, leave) and first.once(glow.NAME, glow.promise) > promise:
         return first  # no gamma is what is wrong
-    others = [Candidate.of(problem, gamma=start) for start in STARTS]
+    others = [Candidate.of(first.problem, gamma=start) for start in STARTS]
     return max([first, *others], key=lambda c: c.evidence.nats)
 
 
@@ -241,10 +279,10 @@ def _climbed(best: Candidate, leave: Leave):
     """The best candidate, [Taken] on the way to it, and the candidates with other transfer functions."""
     taken, functions, tried = [], (), {vignetting.NAME} & best.taken.keys()
     while wanted := _promising(best, leave, tried):
-        most = max(wanted, key=wanted.get)
-        if most in (glow.NAME, matrix.NAME):
-            wanted = {most}  # the others only bend to it
-        wanted = set(wanted) - ({matrix.NAME} if "response" in wanted else set())  # else colours last: they bend to it
+        promised, most = wanted, max(wanted, key=wanted.get)
+        near = {cause for cause, nats in promised.items() if nats >= NEARLY * promised[most]}
+        # the others only bend to a glow and to mixing, colours bend to all else
+        wanted = {most} if most in (glow.NAME, matrix.NAME) else near - {matrix.NAME}
         tried |= wanted
         candidates = {}
         if "response" in wanted:
@@ -262,7 +300,7 @@ def _climbed(best: Candidate, leave: Leave):
         if not better:
             continue
         cause = max(better, key=lambda cause: better[cause].evidence.nats)
-        gain = {name: c.evidence.nats - best.evidence.nats for name, c in candidates.items()}
+        gain = promised | {name: c.evidence.nats - best.evidence.nats for name, c in candidates.items()}
         taken.append(Taken(cause, gain.pop(cause), gain))
         best, tried = better[cause], {t.cause for t in taken}
         functions = functions if cause == "response" else ()
@@ -281,7 +319,7 @@ def _settled(found: Candidate, before: Candidate, leave: Leave) -> Candidate:
 def _vignetted(best: Candidate, leave: Leave) -> Candidate:
     """The fit with a vignetted lens, from other gammas as well where the first leaves something to explain."""
     first = vignetting.fitted(best, leave.lens, leave.pixel)
-    if not _searches_gamma(first) or responses.promise(first) < enough(first.problem):
+    if not _is_stuck(first, best):
         return first
     other = vignetting.fitted_from(best, (*STARTS, USUAL_GAMMA), leave.lens, leave.pixel)
     return max(first, other, key=lambda c: c.evidence.nats)
@@ -290,9 +328,15 @@ def _vignetted(best: Candidate, leave: Leave) -> Candidate:
 def _in_glow(best: Candidate) -> Candidate:
     """The fit with a glow from outside, from other gammas as well where the first leaves something to explain."""
     first = glow.fitted(best)
-    if not _searches_gamma(first) or responses.promise(first) < enough(first.problem):
+    if not _is_stuck(first, best):
         return first
     return max(first, glow.fitted_from(best, (*STARTS, USUAL_GAMMA)), key=lambda c: c.evidence.nats)
+
+
+def _is_stuck(first: Candidate, before: Candidate) -> bool:
+    """Another gamma may suit a cause better: a curve still promises much beside what the cause has brought."""
+    much = max(enough(first.problem), STUCK * (first.evidence.nats - before.evidence.nats))
+    return _searches_gamma(first) and first.once("response", responses.promise) >= much
 
 
 def _may_glow(found: Candidate, leave: Leave) -> bool:
@@ -307,14 +351,31 @@ def _searches_gamma(found: Candidate) -> bool:
 
 def _promising(found: Candidate, leave: Leave, tried) -> dict:
     """{cause: nats} of the causes that one step promises enough of."""
-    promises = {}
-    if found.problem.transfer.kind != "linear" and "response" not in tried:
-        promises["response"] = responses.promise(found)
-    if leave.lens is not None and "vignetting" in leave.causes and "vignetting" not in tried:
-        promises["vignetting"] = vignetting.promise(found, leave.lens, leave.pixel)
-    if glow.NAME not in tried and _may_glow(found, leave):
-        promises[glow.NAME] = glow.promise(found)
-    if leave.response and matrix.NAME not in tried and matrix.may(found):
-        promises[matrix.NAME] = matrix.promise(found)
     more = {matrix.NAME: MIXING}
-    return {cause: nats for cause, nats in promises.items() if nats >= enough(found.problem, more.get(cause, USUAL))}
+    promises = _promises(found, leave, tried)
+    held = {cause: nats for cause, nats in promises.items() if nats >= enough(found.problem, more.get(cause, USUAL))}
+    return {} if held and _is_one_object(found, max(held.values())) else held
+
+
+def _promises(found: Candidate, leave: Leave, tried=()) -> dict:
+    """{cause: nats} that one step brings, of the causes that may be taken and were not tried."""
+    ask = {}
+    if found.problem.transfer.kind != "linear":
+        ask["response"] = responses.promise
+    if leave.lens is not None and "vignetting" in leave.causes:
+        ask["vignetting"] = lambda found: vignetting.promise(found, leave.lens, leave.pixel)
+    if _may_glow(found, leave):
+        ask[glow.NAME] = glow.promise
+    if leave.response and matrix.NAME not in tried and matrix.may(found):
+        ask[matrix.NAME] = matrix.promise
+    return {cause: found.once(cause, how) for cause, how in ask.items() if cause not in tried}
+
+
+def _is_one_object(found: Candidate, promise) -> bool:
+    """What is wrong is the reflectance of one object, rather than a cause with such a promise."""
+    return _of_one_object(found) > max(promise, enough(found.problem))
+
+
+def _of_one_object(found: Candidate) -> float:
+    """Nats that the reflectance of one object alone promises."""
+    return found.once(OBJECT, lambda found: unlike.promise(found.problem, found.result))

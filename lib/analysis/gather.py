@@ -15,6 +15,7 @@ import numpy as np
 from lib.buffers.edges import boundary
 from lib.buffers.trust import in_blocks
 from lib.core import artefact
+from lib.given.transfer import Transfer
 from lib.given.view import View
 from lib.light import form_factors, lamps, outside
 from lib.light import surface as surfaces
@@ -194,6 +195,11 @@ def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling:
         _colour_noise(view.photograph),
         view.photograph.noisy,
     )
+
+
+def under_one_curve(found: Gathered | None, transfer: Transfer) -> Gathered | None:
+    """The same light, seen by a camera that has one curve for all channels."""
+    return found and replace(found, pixels=transfer.in_common(found.pixels))
 
 
 def with_outside(view, factors: FormFactors, *gathered: Gathered):

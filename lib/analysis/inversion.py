@@ -8,91 +8,23 @@ the answer says so (`refined`), and is good for nothing else: all is to be made 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from lib.analysis import agreement, explain, glow, lamp_lobe
+from lib.analysis import agreement, explain, glow, lamp_lobe, matrix, responses
 from lib.analysis.agreement import in_doubt
-from lib.analysis.audit import LEFT, Audit
+from lib.analysis.audit import Audit
+from lib.analysis.candidates import Candidate, enough
 from lib.analysis.climbing import Climb
+from lib.analysis.evidence import evidence
 from lib.analysis.explain import Explained, Leave
-from lib.analysis.gather import Gathered
 from lib.analysis.lamp_lobe import LampLobes
 from lib.analysis.problem import Problem, Result
+from lib.analysis.task import Task
 from lib.core.report import Report
-from lib.given.cameras import Camera
-from lib.given.causes import GEOMETRIC
-from lib.given.kinds import LOBES, MIRRORS
-from lib.given.view import View
-from lib.light.factors_file import FormFactors
 
+MIXES = 0.25  # of what free lamps promise: cameras that mix colours promised .5 to 1.3, lamps of another colour .1
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What is given.
-
-    view : reads photograph, model, camera and facet.png, which only some scenes need; None where they are not there
-    audit : the light of all pixels, or None
-    lamps, place_sigma_m, surfaces, transfer, causes : as scene.yaml has them (causes: `explain`, or None)
-    lobes : {lamp: (4,)} that scene.yaml tells, which factors, found and audit know;  lobes_unknown : {lamp} to be found
-    lambertian : (factors, found) that do not know them
-    gamma : where it starts
-    may_refine : camera and model are as given, and others may be asked for;  refined : [Cause] that were, else
-    options : of gauss_newton.gauss_newton
-    """
-
-    problem: Problem
-    found: Gathered
-    factors: FormFactors
-    camera: Camera | None
-    view: Callable[[], View] | None
-    audit: Gathered | None
-    lamps: dict
-    place_sigma_m: dict
-    lobes: dict
-    lambertian: tuple
-    lobes_unknown: set
-    surfaces: dict
-    transfer: object
-    causes: list | None
-    gamma: float
-    threshold: float
-    lobe_rays: int
-    may_refine: bool
-    refined: list
-    options: dict
-
-    def in_lobes(self, lobes) -> Task:
-        """The same with the light of lamps that throw it in lobes {lamp: (4,)}."""
-        if not lobes:
-            return self
-        factors, found, audit = lamp_lobe.in_lobes(self.view(), self.factors, lobes, self.found, self.audit)
-        return replace(self, factors=factors, found=found, audit=audit)
-
-    @property
-    def lamp_lobes(self) -> LampLobes | None:
-        """Of the lamps whose lobe scene.yaml leaves open."""
-        told = any(kind in (*MIRRORS, *LOBES) for kind in self.surfaces.values())  # their light looks like a lobe's
-        may = not told and (self.causes is None or lamp_lobe.NAME in self.causes)
-        open_ = self.factors.own_lamps if may else self.lobes_unknown
-        wanted = [lamp for lamp in self.factors.own_lamps if lamp in open_ and lamp not in self.lobes]
-        if not wanted or not self.can_look:
-            return None
-        return LampLobes(self.view, self.factors, self.found, tuple(wanted), bool(self.lobes_unknown))
-
-    @property
-    def allowed(self):
-        """The geometric causes that may be taken."""
-        return set(GEOMETRIC if self.causes is None else self.causes)
-
-    @property
-    def can_look(self):
-        """Whether pixels and edges of the photograph can be looked at, and are worth it."""
-        seen = self.view is not None and len(self.problem.tile_group) > 0
-        return seen and not agreement.out_of_range(self.found)
 
 
 @dataclass
@@ -100,7 +32,8 @@ class Answer:
     """What was found. problem, result, scale : in the end;  refined : a Refinement, or None
 
     audit, judged : of all pixels and `explained`, its misfits; None where they were not looked at
-    ascent : of the ladder, None where all is diffuse;  why : [Why] photograph and facts do not agree
+    ascent : of the ladder, None where all is diffuse;  ladder : what it did, for the report
+    why : [Why] photograph and facts do not agree
     """
 
     explained: Explained
@@ -110,6 +43,7 @@ class Answer:
     audit: Audit | None = None
     judged: dict | None = None
     ascent: object = None
+    ladder: dict = field(default_factory=dict)
     refined: object = None
     why: list = field(default_factory=list)
     warnings: list = field(default_factory=list)
@@ -135,11 +69,13 @@ def solve(task: Task, report: Report) -> Answer:
             return answer
     problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
     leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
-    explained = explain.without_lobes(problem, leave, gamma=task.gamma, **options)
-    if task.can_look and (wrong := _told_wrong(task, explained)):
-        answer = _answer(explained.kept(**options))
-        answer.why = agreement.joined(wrong, _missing(task, answer.explained, _audit(task, answer.explained)))
+    first = explain.started(problem, leave, task.gamma, trace)
+    may_move = may_refine and "lamp_place" in task.allowed and not edges.why
+    if task.can_look and (answer := _at_once(task, first, leave, may_move)):
         return answer
+    explained = explain.without_lobes(first, leave, **options)
+    if task.can_look and (wrong := _told_wrong(task, explained)):
+        return _named(task, explained.kept(**options), wrong)
     lobed = explain.with_lobes(explained, leave, **options)
     explained = explained.kept(**options)
     if not task.can_look:
@@ -152,8 +88,8 @@ def solve(task: Task, report: Report) -> Answer:
     audit = _audit(task, explained)
     judged = audit.misfits(explained.problem, explained.result)
     report["ladder"] = _summary(task, explained.problem, judged)
-    if may_refine and "lamp_place" in task.allowed and not edges.why and in_doubt(explained.result):
-        refined = _by_light(plain, explained, audit if task is plain else _audit(plain, explained))
+    if may_move and in_doubt(explained.result):
+        refined = _by_light(plain, explained, lambda: audit if task is plain else _audit(plain, explained))
         if refined is not None:
             return _answer(explained, refined=refined, why=refined.why)
     if wrong := explain.lamps_told_wrong(explained, leave, **options):
@@ -161,6 +97,7 @@ def solve(task: Task, report: Report) -> Answer:
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
         return answer
     answer = _materials(task, explained, audit, judged, report)
+    report["ladder"] |= answer.ladder
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
         task, audit = in_lobes, _audit(in_lobes, lobed)  # nothing suffices, lobes come nearest
         answer = _answer(lobed, audit, audit.misfits(lobed.problem, lobed.result))
@@ -176,8 +113,50 @@ def _suffices(task, explained, in_lobes, lobed) -> bool:
     """Lobes of lamps leave nothing to explain: what mirrors and lobes of surfaces throw may look like them."""
     if not agreement.fits(lobed.result):
         return False
-    left = [_audit(t, e).energy(e.problem, e.result) for t, e in ((in_lobes, lobed), (task, explained))]
-    return left[0] <= LEFT * left[1]
+    return _energy(task, explained).is_explained_by(_energy(in_lobes, lobed))
+
+
+def _energy(task, explained):
+    return _audit(task, explained).energy(explained.problem, explained.result)
+
+
+def _at_once(task, first, leave, may_move) -> Answer | None:
+    """Where a lamp's place, or the lamps' emittances, explain more than anything else might, no cause is looked for."""
+    if not isinstance(first, Candidate):
+        return None
+    rough = Explained(first.problem, first.result, "", given=first)
+    if first.typical >= explain.HOPELESS and (why := _flipped(task, rough)):
+        return _named(task, rough.without_causes(**task.options), why)
+    promised = explain.promises(first, leave)
+    most = max(promised.values())
+    if most < enough(first.problem) or promised[explain.OBJECT] == most:
+        return None
+    if may_move and (refined := _by_light(task, rough, lambda: _audit(task, rough), above=most)):
+        return _answer(rough.without_causes(**task.options), refined=refined, why=refined.why)
+    free = None if task.lobes else explain.lamps_alone(first, promised)
+    if free is None:
+        return None
+    freed = Explained(free.problem, free.result, "", given=free).without_causes(**task.options)
+    wrong = agreement.lamps_of(first.problem, freed.result, free.evidence.nats - first.evidence.nats)
+    if not wrong or not agreement.fits(freed.result):
+        return None
+    if any(w.cause == "lamp_colour" for w in wrong) and promised.get(matrix.NAME, 0) > MIXES * promised[explain.LAMPS]:
+        return None  # the camera may mix colours: told lamps are not wrong for that
+    given = rough.without_causes(**task.options)
+    if not _energy(task, given).is_explained_by(_energy(task, freed)):
+        return None
+    return _named(task, given, wrong)
+
+
+def _named(task, explained, why) -> Answer:
+    """With what is wrong with the lamps, and things that are missing besides."""
+    return _answer(explained, why=agreement.joined(why, _missing(task, explained, _audit(task, explained))))
+
+
+def _flipped(task, explained) -> list:
+    from lib.analysis import refine
+
+    return refine.flipped(task.view(), task.factors, task.found, explained)
 
 
 def _told_wrong(task, explained) -> list:
@@ -190,11 +169,7 @@ def _told_wrong(task, explained) -> list:
         if settled:
             return why
     why, settled = agreement.lamps_told(explained.problem, explained.result)
-    if settled or explained.given.typical < explain.HOPELESS:
-        return why if settled else []
-    from lib.analysis import refine
-
-    return refine.flipped(task.view(), task.factors, task.found, explained)
+    return why if settled else []
 
 
 def _missing(task, explained, audit) -> list:
@@ -241,26 +216,38 @@ def _by_edges(task, edges):
     return refined if refined.keeps_parts else None
 
 
-def _by_light(task, explained, audit):
-    """The model with the lamp where its light has it, or None."""
+def _by_light(task, explained, audit, above=0.0):
+    """The model with the lamp where its light has it, or None. audit, above : of refine.by_light"""
     from lib.analysis import refine
 
-    refined = refine.by_light(task.view(), task.factors, task.found, explained, audit, task.place_sigma_m)
+    refined = refine.by_light(task.view(), task.factors, task.found, explained, audit, task.place_sigma_m, above)
     return refined if refined is not None and refined.keeps_parts else None
 
 
 def _materials(task, explained, audit, judged, report) -> Answer:
-    """What is left is the groups' own: the ladder where a diffuse surface does not explain them."""
+    """What is left is the groups' own, where that explains as much as the causes that were taken."""
+    doubtful = audit.given or not explained.is_sure  # what told mirrors throw looks like many a cause
+    flagged = audit.flagged(explained.problem, judged)
+    if not flagged or not explained.taken or explained.lobes or not doubtful:
+        return _of_groups(task, explained, audit, judged, report)
+    bare = explained.without_causes(**task.options)
+    bare_audit = _audit(task, bare)
+    answer = _of_groups(task, bare, bare_audit, bare_audit.misfits(bare.problem, bare.result), report)
+    if not explained.is_sure:
+        return answer
+    caused = _of_groups(task, explained, audit, judged, report)
+    return caused if _nats(caused) >= _nats(answer) + enough(bare.problem) else answer
+
+
+def _nats(answer) -> float:
+    return evidence(answer.problem, answer.result.at).nats
+
+
+def _of_groups(task, explained, audit, judged, report) -> Answer:
+    """The ladder where a diffuse surface does not explain the groups."""
     if not audit.flagged(explained.problem, judged):
         audit.doubt(explained.problem, explained.result, judged)
         return _answer(explained, audit, judged)
-    if not (explained.is_sure or explained.lobes):  # a material may bring as much as the causes that were taken
-        explained = explained.without_causes(**task.options)
-        audit = _audit(task, explained)
-        judged = audit.misfits(explained.problem, explained.result)
-        if not audit.flagged(explained.problem, judged):
-            audit.doubt(explained.problem, explained.result, judged)
-            return _answer(explained, audit, judged)
     if _is_wrong_everywhere(explained, audit, judged):
         return _answer(explained, audit, judged)
     with report.excluded("compile"):
@@ -276,6 +263,7 @@ def _materials(task, explained, audit, judged, report) -> Answer:
         lobe_rays=task.lobe_rays,
         given=audit.given,
         threshold=task.threshold,
+        covered=_covered(task, explained, audit),
         trace=lambda round, step, fitted: report.trace(
             round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
         ),
@@ -284,7 +272,7 @@ def _materials(task, explained, audit, judged, report) -> Answer:
     climb, answer = done.climb, _answer(explained, audit, judged)
     if not agreement.fits(climb.result) and not audit.given:
         return answer  # what is wrong is not one material: nothing is made up from it
-    report["ladder"] |= ascent.summary(done)
+    answer.ladder = ascent.summary(done)
     answer.warnings = ascent.warnings(done)
     if all(place.rung == "diffuse" for place in climb.places.values()):
         # the same light, but with what its causes leave unsure, which the ladder takes as they are
@@ -293,6 +281,14 @@ def _materials(task, explained, audit, judged, report) -> Answer:
     audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
     answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
     return answer
+
+
+def _covered(task, explained, audit) -> set:
+    """The groups before which something with a sharp outline stands that the model has not."""
+    from lib.analysis import strangers
+
+    things = strangers.things(task.view(), task.factors, explained, audit)
+    return {g for thing in things if thing.is_sharp for g in thing.behind[:2]}
 
 
 def _is_wrong_everywhere(explained, audit, judged):
@@ -305,13 +301,23 @@ def _is_wrong_everywhere(explained, audit, judged):
 
 def _why(task, answer: Answer, edges):
     """[Why] photograph and facts do not agree, the likeliest first."""
-    result, explained = answer.result, answer.explained
-    why = agreement.disagreements(answer.problem, result, task.found, task.transfer, explained.rivals)
+    result = answer.result
+    why = agreement.disagreements(answer.problem, result, task.found, task.transfer, _rivals(answer))
     if edges is not None and in_doubt(result):
         why = agreement.joined(why, edges.why)
-    if answer.audit is None:
-        return why
+    if answer.audit is None or any(w.cause == "transfer" for w in why):
+        return why  # under another function than the camera's, shadows look like things
     return agreement.joined(why, _strange(task, answer, bool(why)))
+
+
+def _rivals(answer) -> dict:
+    """{kind: nats} of other transfer functions. None where a curve promises nothing after the groups have climbed."""
+    rivals = answer.explained.rivals
+    if not rivals or answer.climb is None:
+        return rivals
+    problem, result = answer.problem, answer.result
+    left = responses.promise(Candidate(problem, result, evidence(problem, result.at)))
+    return rivals if left > 0 else {}
 
 
 def _strange(task, answer, is_wrong):

@@ -38,11 +38,12 @@ FEW, SURE, PROGRESS = 3, 0.8, 0.7
 
 
 def climb(
-    site: Site, result: Result, scale, *, given=None, threshold=misfits.THRESHOLD, trace=None, options=None
+    site: Site, result: Result, scale, *, given=None, covered=(), threshold=misfits.THRESHOLD, trace=None, options=None
 ) -> Climb:
     """From the diffuse fit to every group's rung.
 
-    given : {group number: kind} from scene.yaml;  threshold : display RMSE beyond noise that a group may keep
+    given : {group number: kind} from scene.yaml;  covered : groups that show a patch with a sharp outline
+    threshold : display RMSE beyond noise that a group may keep
     trace : called with the round (0 before the first trial), the name of the step and the Result after each fit
     options : of gauss_newton.gauss_newton
     """
@@ -54,7 +55,7 @@ def climb(
         here = fitted(here)
     wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}
     for here.rounds in range(1, MOST_ROUNDS + 1):
-        step = _Step(site, here, wanted, settled, threshold, sure_only=not fits(here.result))
+        step = _Step(site, here, wanted, settled, threshold, covered, sure_only=not fits(here.result))
         taken = step.taken()
         if not taken:
             break
@@ -91,12 +92,13 @@ class _Choice(NamedTuple):
 class _Step:
     """One round of the climb: which groups are over, what rungs would explain of them, and which are taken."""
 
-    def __init__(self, site: Site, here: Climb, wanted, settled, threshold, sure_only=False):
+    def __init__(self, site: Site, here: Climb, wanted, settled, threshold, covered=(), sure_only=False):
         """wanted : {group: kind} that scene.yaml names and that is still to be given;  settled : groups that stay
 
+        covered : groups that show a sharp patch: no dull lobe explains that
         sure_only : the picture as a whole disagrees: only what explains nearly all of a group's error is a material
         """
-        self.sure_only = sure_only
+        self.sure_only, self.covered = sure_only, covered
         self.site, self.here, self.wanted, self.settled, self.threshold = site, here, wanted, settled, threshold
         over = {g for g, m in here.misfits.items() if g not in settled and is_over(m, threshold)}
         over -= self._of_several_materials(over)
@@ -159,7 +161,7 @@ class _Step:
                 return [t for t in trials if t.rung == wanted]
             if any(t.misfit.excess <= self.threshold or t.explained > 0.7 for t in trials):
                 return above(trials)  # if the rest is more than the light's, it climbs on
-        lobes = rungs.as_glossy(self.site, light, g, self.threshold)
+        lobes = rungs.as_glossy(self.site, light, g, self.threshold, sharp=g in self.covered and g not in self.wanted)
         return above(trials + [t for t in lobes if wanted in (None, RUNGS[t.rung].kind)])
 
     def _light_without(self, g) -> LightSoFar:

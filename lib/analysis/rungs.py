@@ -21,6 +21,9 @@ from lib.light import lamps, specular_lamps
 from lib.light.chains import GLOSSY, MIRROR, Chains, Finish
 
 ALPHAS = (0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.32, 0.5)
+RAYS, FEW_RAYS = 128, 32  # of each tile: to compare rungs, and to find a shape
+DULL = 0.04  # alpha, from which the picture of a lamp in a lobe has no sharp outline
+LEAST_EXPLAINED = 0.2  # of a group's error by a round lobe: less is not worth a search for a long one
 TURNS = 6  # directions that the search for an anisotropic lobe begins with
 LEAST_PIXELS = 20  # of a group that is seen at once; else its pixels in mirrors
 LOBE_TILES = 260  # that a search over shapes looks at
@@ -243,8 +246,8 @@ class Lobe:
         self.weight = light.metric.slope(self.seen) ** 2 / noise
         self.diffuse = self._best(np.zeros_like(self.irradiance)).misfit
 
-    def fit(self, alpha, tangent) -> LobeFit:
-        """With a lobe of this shape; tangent None: isotropic."""
+    def fit(self, alpha, tangent, rays=RAYS) -> LobeFit:
+        """With a lobe of this shape; tangent None: isotropic;  rays : of each tile"""
         tangent = np.zeros(3) if tangent is None else tangent
         wider = replace(
             self.wider,
@@ -255,7 +258,7 @@ class Lobe:
         if self.known is not None:  # the ways by which mirrors show it, in the numbers of one group more
             number = np.array([chains.number((*count, 0)) for count in self.known.count], np.int32)
             tiles = replace(tiles, chain=number[tiles.chain])
-        rows = lobes(self.site, wider, chains, tiles, rays=128)
+        rows = lobes(self.site, wider, chains, tiles, rays=rays)
         state = self.light.state
         return self._best(np.zeros_like(self.irradiance) + chains.total(self.rho_s, rows.F, rows.D, state.b, state.E))
 
@@ -284,73 +287,87 @@ def _two(x, y, wanted, weight):
     return float(np.clip(xz / max(xx, 1e-300), 0, 1)), 0.0
 
 
-def as_glossy(site: Site, light: LightSoFar, g, threshold):
-    """Trials of group g as an isotropic and as an anisotropic lobe; [] where its picture cannot be judged."""
+def as_glossy(site: Site, light: LightSoFar, g, threshold, sharp=False):
+    """Trials of group g as an isotropic and as an anisotropic lobe; [] where its picture cannot be judged.
+
+    sharp : it shows a patch with a sharp outline, which only a sharp lobe explains
+    """
     lobe = Lobe(site, light, g)
     if lobe.tiles is None:
         return []
     search = _ShapeSearch(site, lobe, g)
-    alpha, best = search.isotropic()
-    trials = [Trial("glossy", g, best.misfit, lobe.diffuse, best.rho_d, best.rho_s, np.array([alpha, alpha]))]
-    if best.misfit.excess <= threshold or trials[0].explained < 0.2:
-        return trials  # what no round lobe explains in the least, no long one will
-    alphas, tangent, best = search.anisotropic(alpha)
-    trials.append(Trial("anisotropic", g, best.misfit, lobe.diffuse, best.rho_d, best.rho_s, alphas, tangent))
-    return trials
+    rough = search.roughly()
+    if rough.explained < LEAST_EXPLAINED / 2:
+        return [rough]
+    if sharp and rough.alpha[0] > DULL:
+        return []
+    isotropic = search.isotropic(rough.alpha[0])
+    if isotropic.misfit.excess <= threshold or isotropic.explained < LEAST_EXPLAINED:
+        return [isotropic]  # what no round lobe explains in the least, no long one will
+    return [isotropic, search.anisotropic(isotropic.alpha[0])]
 
 
 class _ShapeSearch:
-    """The shape of a group's lobe by chi2; every shape is traced once."""
+    """The shape of a group's lobe by chi2; every shape is traced once.
+
+    Few rays find the way: they tell 0.60 to 0.96 of a lobe's error from at most 0.03 where there is none. What is
+    tried in the end is traced by more.
+    """
 
     def __init__(self, site, lobe, g):
-        self.lobe, self.found = lobe, {}
+        self.lobe, self.group, self.found = lobe, g, {}
         facet = site.main_facet(g)
         self.normal, self.x = site.surface.normal[facet], site.surface.axes[facet, 0]
 
-    def at(self, alpha, tangent=None) -> LobeFit:
+    def at(self, alpha, tangent=None, rays=RAYS) -> LobeFit:
         alpha = np.clip(alpha, LOWEST, HIGHEST)
-        key = (*np.round(np.log(alpha), 6), *(() if tangent is None else np.round(tangent, 6)))
+        key = (rays, *np.round(np.log(alpha), 6), *(() if tangent is None else np.round(tangent, 6)))
         if key not in self.found:
-            self.found[key] = self.lobe.fit(alpha, tangent)
+            self.found[key] = self.lobe.fit(alpha, tangent, rays)
         return self.found[key]
+
+    def trial(self, alphas, tangent=None, rays=RAYS) -> Trial:
+        found, rung = self.at(alphas, tangent, rays), "glossy" if tangent is None else "anisotropic"
+        shape = (np.array(alphas),) if tangent is None else (alphas, tangent)
+        return Trial(rung, self.group, found.misfit, self.lobe.diffuse, found.rho_d, found.rho_s, *shape)
+
+    def roughly(self) -> Trial:
+        """The best of ALPHAS, by few rays."""
+        alpha = min(ALPHAS, key=lambda a: self.at((a, a), None, FEW_RAYS).chi2)
+        return self.trial((alpha, alpha), None, FEW_RAYS)
 
     def turned(self, angle):
         """The tangent turned about the normal of the group's largest facet."""
         return np.cos(angle) * self.x + np.sin(angle) * np.cross(self.normal, self.x)
 
-    def isotropic(self):
-        """alpha and its fit: the best of ALPHAS, then bounded minimisation around it."""
+    def isotropic(self, rough) -> Trial:
+        """Bounded minimisation around a rough alpha, one of ALPHAS."""
         from scipy.optimize import minimize_scalar
 
-        values = [self.at((a, a)).chi2 for a in ALPHAS]
-        k, last = int(np.argmin(values)), len(ALPHAS) - 1
-        low = ALPHAS[k - 1] if k else LOWEST
-        high = ALPHAS[k + 1] if k < last else HIGHEST
+        k = ALPHAS.index(rough)
+        low, high = (*ALPHAS, HIGHEST)[k - 1] if k else LOWEST, (*ALPHAS, HIGHEST)[k + 1]
+        chi2 = lambda a: self.at((a, a)).chi2
         best = minimize_scalar(
-            lambda x: self.at((np.exp(x),) * 2).chi2,
-            bounds=(np.log(low), np.log(high)),
-            method="bounded",
-            options={"maxiter": 7},
+            lambda x: chi2(np.exp(x)), bounds=(np.log(low), np.log(high)), method="bounded", options={"maxiter": 7}
         )
-        alpha = float(np.exp(best.x)) if best.fun < values[k] else ALPHAS[k]
-        return alpha, self.at((alpha, alpha))
+        alpha = min(float(np.exp(best.x)), rough, key=chi2)
+        return self.trial((alpha, alpha))
 
-    def anisotropic(self, alpha):
-        """From the best isotropic alpha: alphas (2,), the larger first, the larger one's tangent (3,), their fit."""
+    def anisotropic(self, alpha) -> Trial:
+        """From the best isotropic alpha to two, the larger first, with the larger one's tangent."""
         from scipy.optimize import minimize
 
-        angles = np.pi * np.arange(TURNS) / TURNS
-        _, angle = min((self.at((1.7 * alpha, alpha / 1.7), self.turned(a)).chi2, a) for a in angles)
+        chi2 = lambda alphas, angle: self.at(alphas, self.turned(angle), FEW_RAYS).chi2
+        angle = min(np.pi * np.arange(TURNS) / TURNS, key=lambda a: chi2((1.7 * alpha, alpha / 1.7), a))
         start = np.array([np.log(1.7 * alpha), np.log(alpha / 1.7), angle])
         simplex = np.vstack([start, start + [0.4, 0, 0], start + [0, 0.4, 0], start + [0, 0, 0.25]])
         best = minimize(
-            lambda v: self.at(np.exp(v[:2]), self.turned(v[2])).chi2,
+            lambda v: chi2(np.exp(v[:2]), v[2]),
             start,
             method="Nelder-Mead",
             options={"maxfev": 45, "initial_simplex": simplex},
         )
         alphas, tangent = np.clip(np.exp(best.x[:2]), LOWEST, HIGHEST), self.turned(best.x[2])
-        found = self.at(alphas, tangent)
         if alphas[0] < alphas[1]:
             alphas, tangent = alphas[::-1], np.cross(self.normal, tangent)
-        return alphas, tangent, found
+        return self.trial(alphas, tangent)

@@ -6,15 +6,17 @@ is wrong with the light changes softly, and what is wrong with a material ends w
 
 from __future__ import annotations
 
+from copy import copy
+from typing import NamedTuple
+
 import numpy as np
 
-from lib.analysis import misfits
+from lib.analysis import misfits, unlike
 from lib.analysis.agreement import fits
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import enough
-from lib.analysis.evidence import evidence, promised
 from lib.analysis.explain import Explained
-from lib.analysis.misfits import OTHER, shown
+from lib.analysis.misfits import shown
 from lib.analysis.problem import Problem, Result
 from lib.given.materials import Why
 from lib.given.transfer import Metric
@@ -25,6 +27,9 @@ from lib.light.factors_file import FormFactors
 
 STRANGE = 0.03  # display, from which a pixel may show something else;  and so many times what is usual on its facet
 TIMES = 6
+TINT = 0.015  # the same of colour alone
+LEVELS = 1, 2, 4  # of strangeness: the shadow at a thing's foot is soft, and less strange than the thing
+PLAIN = 0.05  # of a facet: less is strange besides a thing before it
 LARGE = 0.002  # part of the picture that a thing covers at least
 SHARP = 0.4  # of the step at a thing's outline that lies within two pixels
 HALF, ALL_AROUND = 0.5, 0.95  # of the outline that is so sharp
@@ -32,25 +37,58 @@ OUTLINE = 20  # pixels of it that must be seen
 WHOLE = 0.6  # of a facet: a thing covers less
 SAMPLES = 16  # of each lamp, from a pixel
 ELSEWHERE = 0.1  # part of a thing that lies on other facets than most of it
-LOOKED_AT = 4  # things whose own reflectance is tried
+
+
+class Thing(NamedTuple):
+    """What stands before surfaces.
+
+    middle : x, y px;  behind : numbers of the groups, the most covered first;  sharp : share of the outline that is
+    """
+
+    pixels: int
+    middle: tuple
+    behind: list
+    sharp: float
+
+    @property
+    def is_sharp(self):
+        """All around: no picture of anything in a dull lobe is."""
+        return self.sharp >= ALL_AROUND
+
+
+def things(view: View, factors: FormFactors, explained: Explained, audit: Audit, climbed=()) -> list[Thing]:
+    """The things that the model has not, the largest first. climbed : {group: rung}, of those not diffuse"""
+    picture, wrong = _Picture(view, explained, audit, climbed), not fits(explained.result)
+    found = _found(picture, factors, wrong)
+    if wrong and not found:
+        found = _found(picture.tinted(), None, wrong)
+    return sorted((thing for _, thing in found), key=lambda thing: -thing.pixels)
+
+
+def _found(picture, factors, several):
+    """[(pixels (H, W) bool, Thing)]. factors : where shadows may be what is strange"""
+    if not picture.spots():
+        return []
+    if factors is not None:
+        picture.look_closely(factors)
+    found = []
+    for level in LEVELS:
+        for pixels, mine, middle in picture.spots(level):
+            known = any((mine & other).any() for other, _ in found)
+            if not known and picture.is_thing(mine, several):
+                found.append((mine, Thing(pixels, tuple(middle), picture.behind(mine), picture.sharpness(mine))))
+    return found
 
 
 def things_missing(view: View, factors: FormFactors, explained: Explained, audit: Audit, climbed=()) -> list[Why]:
-    """A line for each thing that the model has not, the largest first. climbed : {group: rung}, of those not diffuse"""
-    picture = _Picture(view, explained, audit, climbed)
-    if not picture.spots():
-        return []
-    picture.look_closely(factors)
-    found, several = [], not fits(explained.result)
-    for area, mine, middle in picture.spots():
-        if picture.is_thing(mine, several):
-            x, y = middle
-            text = (
-                f"something at pixel ({x:.0f}, {y:.0f}), {area} pixels large, is not in the model: it stands before"
-                f" {picture.named(mine)}"
-            )
-            found.append((area, Why("object_missing", None, text, None)))
-    return [why for _, why in sorted(found, key=lambda pair: -pair[0])]
+    """A line for each of `things`."""
+    groups, said = explained.problem.groups, []
+    for thing in things(view, factors, explained, audit, climbed):
+        x, y = thing.middle
+        where = f"something at pixel ({x:.0f}, {y:.0f}), {thing.pixels} pixels large, is not in the model"
+        before = " and ".join(repr(groups[g]) for g in thing.behind[:2])
+        said.append(Why("object_missing", None, f"{where}: it stands before {before}", None))
+    return said
 
 
 class _Picture:
@@ -58,7 +96,8 @@ class _Picture:
 
     def __init__(self, view, explained, audit, climbed):
         problem, result, tiles = explained.problem, explained.result, audit.tiles
-        self.view, self.groups, self.state, self.climbed = view, problem.groups, result.state, dict(climbed)
+        self.view, self.groups, self.state = view, problem.groups, result.state
+        self.climbed, self.given = dict(climbed), audit.given
         self.by_lamps = np.where(problem.own_lamps[:, None], result.state.E, 0)  # (L, C) emittances
         self.metric, self.pixel = Metric(result.state.transfer), tiles.pixel
         self.tiles, self.which = tiles, np.repeat(np.arange(len(tiles)), np.diff(tiles.start))
@@ -66,10 +105,20 @@ class _Picture:
         self.seen = self.metric.value(self.metric.transfer.linear(tiles.values))
         self.facet, self.group = tiles.facet[self.which], tiles.group[self.which]
         specular = [g for g, rung in self.climbed.items() if rung != "textured"]
-        off = np.abs(self.seen - self.metric.value(self.B)[self.which]).max(axis=1)
-        self.least = np.maximum(STRANGE, TIMES * _usual(off, self.facet))
-        self.strange = (off > self.least) & ~np.isin(self.group, specular)
+        self.off = np.abs(self.seen - self.metric.value(self.B)[self.which]).max(axis=1)
+        self.least = np.maximum(STRANGE, TIMES * _usual(self.off, self.facet))
+        self.off[np.isin(self.group, specular)] = 0
         self.owner, self.of_group = self._drawn(self.facet, -1), self._drawn(self.group, -1)
+
+    def tinted(self):
+        """The same of colours alone, which no shadow changes: things of the brightness of what they stand before."""
+        light, B = self.metric.transfer.linear(self.tiles.values), self.B[self.which]
+        ratio = np.log(np.maximum(light, 1e-4) / np.maximum(B, 1e-4))
+        ratio -= ratio.mean(axis=1, keepdims=True)
+        off = np.abs(ratio * self.metric.slope(B) * B).max(axis=1)
+        other = copy(self)
+        other.off, other.least = np.where(self.off > 0, off, 0), np.maximum(TINT, TIMES * _usual(off, self.facet))
+        return other
 
     def _drawn(self, values, empty):
         """(H, W, ...) of values (M, ...) of the pixels."""
@@ -77,11 +126,11 @@ class _Picture:
         picture[self.pixel] = values
         return picture.reshape(*self.view.shape, *values.shape[1:])
 
-    def spots(self):
-        """[(pixels, (H, W) bool, (x, y))] of strange places that are large enough."""
+    def spots(self, level=1.0):
+        """[(pixels, (H, W) bool, (x, y))] of strange places that are large enough. level : how much stranger"""
         import cv2
 
-        mask, square = self._drawn(self.strange.astype(np.uint8), 0), np.ones((5, 5), np.uint8)
+        mask, square = self._drawn(self._strange(level).astype(np.uint8), 0), np.ones((5, 5), np.uint8)
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, square)  # edges of the model run through it
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, square)
         number, label, stats, middle = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -89,18 +138,21 @@ class _Picture:
         large = [k for k in range(1, number) if area[k] >= LARGE * mask.size]
         return [(int(area[k]), label == k, middle[k]) for k in large]
 
+    def _strange(self, level=1.0):
+        """(M,) bool"""
+        return self.off > level * self.least
+
     def look_closely(self, factors):
-        """(M, C), (M, C): of what lamps do not send at once, the least and the most on the facet's tiles nearby."""
+        """What is off, anew where it is strange: with each pixel's own light of the lamps."""
         surface = surfaces.surface(self.view.model, factors.lamps)
-        some = np.flatnonzero(self.strange)
+        some = np.flatnonzero(self._strange())
         p, side = surfaces.backproject(surface, self.view.camera, self.facet[some], self.pixel[some])
         normals = surfaces.side_normals(surface)
         emitters = lamps_.emitters(surface, factors.lamps, factors.lobes)
         direct = lamps_.direct(surface, emitters, p, normals, side, len(factors.lamps), n_samples=SAMPLES)
         lamps = self.state.rho[self.group[some]] * (direct @ self.by_lamps)
         low, high = (self.metric.value(lamps + light[some]) for light in self._indirect_nearby())
-        off = np.maximum(low - self.seen[some], self.seen[some] - high).max(axis=1)
-        self.strange[some] = off > self.least[some]
+        self.off[some] = np.maximum(low - self.seen[some], self.seen[some] - high).max(axis=1)
 
     def _indirect_nearby(self):
         """(M, C), (M, C): the least and the most of what the lamps do not send at once, on the facet's tiles nearby."""
@@ -111,7 +163,7 @@ class _Picture:
         side = np.sqrt(np.diff(tiles.start))
         low, high = light[self.which], light[self.which]
         picture = self._drawn(light[self.which].astype(np.float32), 0)
-        for f in np.unique(self.facet[self.strange]):
+        for f in np.unique(self.facet[self._strange()]):
             mine = self.facet == f
             reach = np.ones((2 * int(np.ceil(side[tiles.facet == f].max())) + 1,) * 2, np.uint8)
             own = (self.owner == f)[..., None]
@@ -125,37 +177,54 @@ class _Picture:
 
         several : one that stands before several surfaces, or has a sharp outline nearly all around
         """
+        count = np.bincount(self.owner[mine & (self.owner >= 0)], minlength=1)
+        if not count.any():
+            return False
+        most = int(count.argmax())
+        alone = 1 - count.max() / count.sum() < ELSEWHERE
+        if alone and self._group_of(most) in self.climbed and not self._is_plain_but_for(mine, most):
+            return False
+        if count.max() > WHOLE * np.count_nonzero(self.owner == most):
+            return False  # most of a surface is as strange: its material, or its light
+        return self.sharpness(mine) > (ALL_AROUND if alone and several else HALF)
+
+    def sharpness(self, mine):
+        """Share of the outline that is sharp, where it runs over the facet that is covered most; 0 where none does."""
         import cv2
 
-        facets, count = np.unique(self.owner[mine & (self.owner >= 0)], return_counts=True)
-        if not len(facets):
-            return False
-        most = facets[count.argmax()]
-        on_most = self.owner == most
-        alone = 1 - count.max() / count.sum() < ELSEWHERE
-        if alone and self.of_group[on_most][0] in self.climbed:
-            return False
-        if count.max() > WHOLE * np.count_nonzero(on_most):
-            return False  # most of a surface is as strange: its material, or its light
+        on_most = self.owner == np.bincount(self.owner[mine & (self.owner >= 0)]).argmax()
         spot, small, wide = mine.astype(np.uint8), np.ones((3, 3), np.uint8), np.ones((9, 9), np.uint8)
         rim = (cv2.dilate(spot, small) > 0) & ~(cv2.erode(spot, small) > 0)
         rim &= cv2.erode(on_most.astype(np.uint8), wide) > 0
         if np.count_nonzero(rim) < OUTLINE:
-            return False
+            return 0.0
         seen = self._drawn(self.seen, 0.0)
         near, far = (_step(seen, px)[rim] for px in (2, 6))
-        sharp = np.mean(near > SHARP * np.maximum(far, STRANGE))
-        return bool(sharp > (ALL_AROUND if alone and several else HALF))
+        return float(np.mean(near > SHARP * np.maximum(far, STRANGE)))
 
-    def named(self, mine):
+    def _group_of(self, facet):
+        return self.of_group[self.owner == facet][0]
+
+    def _is_plain_but_for(self, mine, facet):
+        """A texture that is one patch on a plain facet may be a thing before it: one photograph does not tell."""
+        on_facet, group = self.owner == facet, self._group_of(facet)
+        if self.given.get(group) or self.climbed[group] != "textured":
+            return False
+        rest = self._drawn(self._strange(), False) & on_facet & ~mine
+        return np.count_nonzero(rest) < PLAIN * np.count_nonzero(on_facet)
+
+    def behind(self, mine):
         """The groups before which it stands."""
-        names, count = np.unique(self.of_group[mine & (self.owner >= 0)], return_counts=True)
-        return " and ".join(repr(self.groups[g]) for g in names[np.argsort(-count)][:2])
+        groups, count = np.unique(self.of_group[mine & (self.owner >= 0)], return_counts=True)
+        return groups[np.argsort(-count)].tolist()
 
 
 def _step(light, px):
-    """(H, W) display: the greatest difference to a pixel so far away."""
-    steps = [np.abs(light - np.roll(light, way, axis)).max(axis=2) for axis in (0, 1) for way in (px, -px)]
+    """(H, W) display: the greatest difference to a pixel of the picture so far away."""
+    (H, W), steps = light.shape[:2], []
+    wide = np.pad(light, ((px, px), (px, px), (0, 0)), mode="edge")
+    for x, y in ((0, px), (2 * px, px), (px, 0), (px, 2 * px)):
+        steps.append(np.abs(light - wide[y : y + H, x : x + W]).max(axis=2))
     return np.max(steps, axis=0)
 
 
@@ -192,28 +261,8 @@ def _another_material(name, ratio, group, nats):
 
 def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Why]:
     """A line for each object that has not its group's reflectance. names() : of the objects"""
-    at, state = result.at, result.state
-    rows = []
-    for g in np.unique(problem.tile_group):
-        things = np.unique(problem.tile_object[problem.tile_group == g])
-        if len(things) > 1 and g not in climbed and g not in problem.known_groups:
-            rows += [(g, thing) for thing in things]
-    brightness = np.maximum(np.abs(at.displayed(state.B)), 1e-9)
-    tried = []
-    for g, thing in rows:
-        mine = (problem.tile_group == g) & (problem.tile_object == thing)
-        ratio = np.average(-at.residual[mine] / brightness[mine], axis=0, weights=problem.n_pixels[mine])
-        tried.append((float(np.abs(ratio).max()), g, thing, mine, ratio))
-    tried.sort(key=lambda row: -row[0])
-    own, found = None, []
-    for size, g, thing, mine, ratio in tried[:LOOKED_AT]:
-        if size < OTHER:
-            break
-        own = evidence(problem, at).nats if own is None else own
-        C = problem.channels
-        each = np.zeros((len(mine), C, C))
-        each[:, np.arange(C), np.arange(C)] = np.where(mine[:, None], state.B, 0)
-        gain = promised(problem, at, at.displayed(each)).nats - own
-        if gain >= enough(problem):
-            found.append(_another_material(names()[thing], 1 + ratio, problem.groups[g], float(gain)))
-    return found
+    return [
+        _another_material(names()[one.thing], one.ratio, problem.groups[one.group], one.nats)
+        for one in unlike.objects(problem, result, climbed)
+        if one.nats >= enough(problem)
+    ]

@@ -12,7 +12,7 @@ Every field but `groups` may be missing in a file that somebody wrote by hand; i
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +57,13 @@ def _rising(value):
     if not good or value[0] != 0 or value[-1] != 1 or any(b <= a for a, b in itertools.pairwise(value)):
         raise Wrong("is not at least 64 numbers that rise from 0 to 1")
     return tuple(map(float, value))
+
+
+def _rising_or_three(value):
+    """The same, or such a list for each of three channels."""
+    if isinstance(value, list) and len(value) == 3 and all(isinstance(v, list) for v in value):
+        return tuple(map(_rising, value))
+    return _rising(value)
 
 
 def _direction(value):
@@ -179,15 +186,15 @@ class Lamp:
 class FoundTransfer:
     """gamma : of kind `gamma`;  sigma : of gamma, or of each display value of a curve; None where it was given
 
-    linear, display : (n,) samples of a `curve`, rising from 0 to 1
+    linear, display : (n,) samples of a `curve`, rising from 0 to 1, or three such tuples
     matrix : of a curve, camera-linear = matrix x scene, (3, 3) or None
     asked : what scene.yaml asks for;  rivals : {kind: nats by which held-out tiles prefer it to this one}
     """
 
     kind: str | None = told(word(*transfer_kinds.KINDS))
     gamma: float | None = told(number(0))
-    linear: tuple | None = told(_rising)
-    display: tuple | None = told(_rising)
+    linear: tuple | None = told(_rising_or_three)
+    display: tuple | None = told(_rising_or_three)
     sigma: float | tuple | None = told(_sigma_of_transfer)
     matrix: tuple | None = told(matrix(3, 3))
     asked: str | None = told(word(), absent=True)
@@ -201,9 +208,20 @@ class FoundTransfer:
     @property
     def function(self) -> Transfer:
         """What takes light to display values."""
-        if self.kind == "curve":
-            return Transfer("curve", samples=(self.linear, self.display), matrix=self.matrix or ())
-        return Transfer(self.kind, self.gamma or 1.0)
+        if self.kind != "curve":
+            return Transfer(self.kind, self.gamma or 1.0)
+        own = [Transfer("curve", samples=pair) for pair in self.channels]
+        whole = own[0] if len(own) == 1 else Transfer("curve", channels=tuple(own))
+        return replace(whole, matrix=self.matrix or ())
+
+    @property
+    def channels(self) -> list:
+        """[(linear, display)] samples of a curve, one pair or three."""
+        several = [isinstance(values[0], tuple) for values in (self.linear, self.display)]
+        if not any(several):
+            return [(self.linear, self.display)]
+        linear, display = (v if own else (v,) * 3 for v, own in zip((self.linear, self.display), several, strict=True))
+        return list(zip(linear, display, strict=True))
 
 
 @dataclass(frozen=True)
@@ -302,8 +320,9 @@ def read_curve(path) -> Transfer:
     found = record.read(path, FoundTransfer)
     if found.kind != "curve" or found.linear is None or found.display is None:
         raise BadInput(f"{path}: kind: {found.kind!r} with linear and display is not a curve")
-    if len(found.linear) != len(found.display):
-        raise BadInput(f"{path}: display: {len(found.display)} values are not as many as linear's {len(found.linear)}")
+    for linear, display in found.channels:
+        if len(linear) != len(display):
+            raise BadInput(f"{path}: display: {len(display)} values are not as many as linear's {len(linear)}")
     if found.matrix is not None and not np.linalg.cond(found.matrix) < WORST_CONDITION:
         raise BadInput(f"{path}: matrix: {found.matrix} cannot be undone")
     return found.function

@@ -69,6 +69,7 @@ class Transfer:
 
     gamma : of the kind gamma;  shape : of the kind curve, (K,) as in lib/given/tone_curve.py
     samples : of a curve without a shape, linear and display values that rise from 0 to 1
+    channels : of a curve that is not the same for R, G and B, three of them without a matrix
     matrix : (3, 3) rows, camera-linear = matrix x scene, before the function; (): colours are not mixed
     """
 
@@ -76,12 +77,28 @@ class Transfer:
     gamma: float = 1.0
     shape: tuple = ()
     samples: tuple = ()
+    channels: tuple = ()
     matrix: tuple = ()
 
     @property
     def bare(self) -> Transfer:
         """The same without the matrix: a function of one channel."""
         return replace(self, matrix=())
+
+    def of_channel(self, c) -> Transfer:
+        """The function of one channel, without the matrix."""
+        return self.channels[c] if self.channels else self.bare
+
+    @property
+    def common(self) -> Transfer:
+        """One function for all channels: the green one's."""
+        return replace(self.channels[1], matrix=self.matrix) if self.channels else self
+
+    def in_common(self, I) -> np.ndarray:
+        """(..., 3) display values under the function that all channels have in common, of the same light."""
+        if not self.channels:
+            return I
+        return np.clip(self.common.bare.curve.display(self.bare.linear(I)), 0, 1)
 
     def mixed(self, light) -> np.ndarray:
         """Camera-linear values of the scene's light (..., C)."""
@@ -92,8 +109,10 @@ class Transfer:
         return light @ np.linalg.inv(self.matrix).T if self.matrix else light
 
     def display(self, B) -> np.ndarray:
-        """Linear -> display, same shape (..., C with a matrix). A linear image is not clipped: above 1 is light."""
+        """Linear -> display, same shape (..., C with a matrix or channels). A linear image's light may exceed 1."""
         B = self.mixed(B)
+        if self.channels:
+            return np.stack([own.display(B[..., c]) for c, own in enumerate(self.channels)], axis=-1)
         if self.kind == "linear":
             return np.asarray(B, float)
         B = np.clip(B, 0, 1)
@@ -101,6 +120,8 @@ class Transfer:
 
     def linear(self, I) -> np.ndarray:
         """Display -> linear, the inverse of `display` on [0, 1]."""
+        if self.channels:
+            return self.unmixed(np.stack([own.linear(I[..., c]) for c, own in enumerate(self.channels)], axis=-1))
         if self.kind == "linear":
             return self.unmixed(np.asarray(I, float))
         return self.unmixed(self.curve.linear(I) if self.curve else np.asarray(I, float) ** self.gamma)

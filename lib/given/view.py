@@ -6,7 +6,7 @@ view.facet                              # (H, W) int32, -1 = nothing
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from lib.given import model as models
 from lib.given.cameras import Camera
 from lib.given.image import Photograph
 from lib.given.model import Model
+from lib.given.transfer import Transfer
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,11 @@ class View:
         if labels is not None and world is not None and labels.max(initial=0) > world.n_facets:
             raise BadInput(f"{facet}: value: {labels.max()} is beyond the model's {world.n_facets} facets ({model})")
         return cls(posed, world, shown, None if labels is None else labels - 1, None if mask is None else mask == 255)
+
+    def under_one_curve(self, transfer: Transfer) -> View:
+        """The same, photographed by a camera that has one curve for all channels."""
+        values = transfer.in_common(self.photograph.values)
+        return replace(self, photograph=replace(self.photograph, values=values))
 
     @property
     def shape(self):

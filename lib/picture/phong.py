@@ -34,7 +34,7 @@ def phong(surface: Surface, emitters, p, side, E):
 def ambient_and_power(r, lit, wanted, show):
     """The two free numbers of eq. 3.1 in each channel, ambient intensity and lamp power (C,).
 
-    The non-negative ones of the least squares of show(r (ambient + power lit)) against `wanted`, all (M, C).
+    The non-negative ones of the least squares of show(c, r (ambient + power lit)) against `wanted`, all (M, C).
     """
     from scipy.optimize import least_squares
 
@@ -47,8 +47,8 @@ def ambient_and_power(r, lit, wanted, show):
         level = max(float((x * l).mean()), 1e-12)
         start = np.array([0.3 * level / float(x.mean()), 1.0])
 
-        def error(t, x=x, l=l, want=want):
-            return show(x * (t[0] + t[1] * l)) - want
+        def error(t, c=c, x=x, l=l, want=want):
+            return show(c, x * (t[0] + t[1] * l)) - want
 
         ambient[c], power[c] = least_squares(error, start, bounds=([0, 0], [np.inf, np.inf]), x_scale=start).x
     return ambient, power
@@ -64,12 +64,12 @@ def phong_picture(subject: Subject, picture: Picture):
     seen, pieces = picture.pixels, picture.fragments
     lit = phong(surface, emitters, seen.p, seen.side, look.E)
     use = np.flatnonzero(subject.counted[seen.y, seen.x])
-    one_channel = replace(subject, transfer=subject.transfer.bare).show  # ambient and power are its own
+    of_channel = lambda c, B: replace(subject, transfer=subject.transfer.of_channel(c)).show(B)  # with its own power
     ambient, power = ambient_and_power(
         look.rho[surface.group[seen.facet[use]]],
         lit[use],
         subject.wanted[seen.y[use], seen.x[use]],
-        one_channel if subject.simple else lambda B: np.clip(B, 0, 1),
+        of_channel if subject.simple else lambda c, B: np.clip(B, 0, 1),
     )
 
     def shown(places, light):

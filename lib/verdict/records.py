@@ -68,7 +68,8 @@ class PoseStep:
 class Pose:
     """pose.json. rt_cam_world : Rodrigues vector and metres;  covariance : (6, 6) of (omega, tau), rad and m
 
-    scale : metres per baseline, None where the pair had a length;  ambiguous : other poses that explain the facets
+    scale : metres per baseline, None where the pair had a length;  ambiguous : other poses that explain the facets, or
+    the equal ones of a model that comes onto itself, where the status is `symmetric`
     """
 
     rt_cam_world: tuple | None = told(numbers(6), needed="six numbers")
@@ -77,6 +78,12 @@ class Pose:
     matches: list = list_of(PoseMatch)
     trace: list = list_of(PoseStep)
     ambiguous: list = told(items, list)
+    status: str | None = told(word(), absent=True)
+
+    @property
+    def others(self):
+        """How many other poses, not equal ones, explain the photographs as well."""
+        return 0 if self.status == "symmetric" else len(self.ambiguous)
 
 
 @dataclass(frozen=True)

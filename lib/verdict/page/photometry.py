@@ -187,6 +187,8 @@ def _status_words(group: Group):
         sigma = group.sigma.rho_d
         given = sigma and not any(sigma) and not group.is_mirror
         return "", "given as a reference" if given else "identified"
+    if group.rho_d:
+        return "no finding: the photograph does not fit", ""
     why = f"none of its {number(group.pixels)} pixels can be trusted" if group.pixels else "never seen"
     return f"{why}; {'assumed from the other groups' if group.assumed else 'no value'}", ""
 
@@ -236,10 +238,7 @@ def light_section(parts: Parts):
     rows = []
     for name, lamp in materials.lamps.items():
         cells = [_lamp_cell(lamp, truths.get(name, LampComparison()), c) for c in ((0,) if grey else (0, 1, 2))]
-        words = (
-            "estimated" if emittance_sigma(lamp) else "by convention" if materials.scale == "convention" else "given"
-        )
-        rows.append((name, cells, words, _lobe_in_words(lamp)))
+        rows.append((name, cells, _emittance_words(lamp, materials.scale), _lobe_in_words(lamp)))
     return render(
         "light.html",
         rows=rows,
@@ -247,6 +246,12 @@ def light_section(parts: Parts):
         scale=SCALE_WORDS[materials.scale],
         transfer=_transfer(parts),
     )
+
+
+def _emittance_words(lamp, scale):
+    if lamp.identified is False:
+        return "no finding"
+    return "estimated" if emittance_sigma(lamp) else "by convention" if scale == "convention" else "given"
 
 
 def _lobe_in_words(lamp):
@@ -290,6 +295,15 @@ class TransferPlot(NamedTuple):
     band: bool
 
 
+def _shown(name, transfer, B, kinds):
+    """[Series] of what a function shows, one of each channel where they differ. kinds : of Series"""
+    if not (transfer.kind == "curve" and transfer.function.channels):
+        return [Series(name, B, display_function(transfer)(B), kinds[0])]
+    values = display_function(transfer)(np.repeat(B[:, None], 3, axis=1))
+    named = enumerate(zip(("red", "green", "blue"), kinds, strict=True))
+    return [Series(f"{name}, {colour}", B, values[:, c], kind) for c, (colour, kind) in named]
+
+
 def _transfer(parts: Parts):
     """The curve that was found, beside the true one; None where none was asked for."""
     transfer = parts.transfer
@@ -306,9 +320,9 @@ def _transfer(parts: Parts):
         gamma, remark = pm(g, sigma, 3), "" if sigma else without_sigma(parts)
         if finite(sigma) and 0 < 3 * sigma < g:
             bands.append(Band(B, B ** (1 / (g - 3 * sigma)), B ** (1 / (g + 3 * sigma))))
-    series.append(Series("found", B, display_function(transfer)(B), "a"))
+    series += _shown("found", transfer, B, ("a", "c", "d"))
     if truth and truth.kind in transfer_kinds.OF_LIGHT:
-        series.append(Series("truth", B, display_function(truth)(B), "dash"))
+        series += _shown("truth", truth, B, ("dash",) * 3)
     return TransferPlot(
         plot=plot(
             series,

@@ -50,7 +50,7 @@ def verdict(parts: Parts) -> Verdict:
             " function is not as given."
         )
         kind, badge = ("warn", "Does not fit") if kind == "good" else (kind, badge)
-    others = len(parts.vision.pose.ambiguous) if parts.vision and parts.vision.pose else 0
+    others = parts.vision.pose.others if parts.vision and parts.vision.pose else 0
     if others:
         said += (
             f" The pose is ambiguous: {others} {plural(others, 'other')} would explain the photographs as well, and all"
@@ -142,7 +142,10 @@ def _identified(parts: Parts):
 
 def without_sigma(parts: Parts):
     """What a value is that has no sigma."""
-    return "not determined" if parts.materials and parts.materials.status == "nothing seen" else "given"
+    status = parts.materials.status if parts.materials else None
+    if status == "does not fit" and parts.transfer.asked:
+        return "no finding"
+    return "not determined" if status == "nothing seen" else "given"
 
 
 def agreement(parts: Parts):

@@ -1,0 +1,56 @@
+"""Objects that have not the reflectance of their group: a material forgotten on one of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lib.analysis.evidence import evidence, promised
+from lib.analysis.misfits import OTHER, THRESHOLD
+from lib.analysis.problem import Problem, Result
+
+LOOKED_AT = 4  # objects whose own reflectance is tried
+
+
+class Unlike(NamedTuple):
+    """An object with a reflectance of its own. ratio : (C,) to its group's;  nats : that one step towards it brings"""
+
+    group: int
+    thing: int
+    ratio: np.ndarray
+    nats: float
+
+
+def objects(problem: Problem, result: Result, climbed=()) -> list[Unlike]:
+    """The objects that differ most from their groups, and by more display than light in dark corners is off by.
+
+    climbed : groups that are left out
+    """
+    at, state = result.at, result.state
+    brightness, tried = np.maximum(np.abs(at.displayed(state.B)), 1e-9), []
+    for g in np.unique(problem.tile_group):
+        things = np.unique(problem.tile_object[problem.tile_group == g])
+        if len(things) < 2 or g in climbed or g in problem.known_groups:
+            continue
+        for thing in things:
+            mine = (problem.tile_group == g) & (problem.tile_object == thing)
+            mean = lambda values, mine=mine: np.average(values[mine], axis=0, weights=problem.n_pixels[mine])
+            ratio, shown = mean(-at.residual / brightness), mean(-at.residual)
+            if np.abs(shown).max() >= THRESHOLD:
+                tried.append((float(np.abs(ratio).max()), int(g), int(thing), mine, ratio))
+    tried = sorted((row for row in tried if row[0] >= OTHER), key=lambda row: -row[0])[:LOOKED_AT]
+    if not tried:
+        return []
+    own, C, found = evidence(problem, at).nats, problem.channels, []
+    for _, g, thing, mine, ratio in tried:
+        each = np.zeros((len(mine), C, C))
+        each[:, np.arange(C), np.arange(C)] = np.where(mine[:, None], state.B, 0)
+        nats = promised(problem, at, at.displayed(each)).nats - own
+        found.append(Unlike(g, thing, 1 + ratio, float(nats)))
+    return found
+
+
+def promise(problem: Problem, result: Result) -> float:
+    """Nats that the reflectance of one object alone would bring."""
+    return max((one.nats for one in objects(problem, result)), default=0.0)
