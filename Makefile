@@ -18,7 +18,13 @@ INSTALL := -m pip install --quiet --disable-pip-version-check --require-hashes -
 
 TARGETS := all plan check lint test test-slow bench scenes doctor help clean setup demo
 GOALS := $(or $(MAKECMDGOALS),demo)
-SCENES := $(shell cd "$(DATA)" 2>/dev/null && ls -d */scene.yaml 2>/dev/null | cut -d/ -f1)
+# Make takes ':' in a name for a rule, and blanks for two names
+define scenes
+cd "$(DATA)" 2>/dev/null && ls -d */scene.yaml 2>/dev/null | while IFS= read -r path; do name=$${path%/scene.yaml}; \
+  case $$name in *[!A-Za-z0-9_-]*) echo "$(DATA)/$$name: warning: left out: letters, digits, _ and - alone name a scene" >&2 ;; \
+  *) echo "$$name" ;; esac; done
+endef
+SCENES := $(shell $(scenes))
 
 # What is asked for: scenes and stages of scenes; those of one scene are planned and run together.
 WISHES := $(sort $(filter-out $(TARGETS),$(GOALS)) $(if $(filter demo,$(GOALS)),office-stereo) \

@@ -370,6 +370,13 @@ def test_unknown_wishes_get_one_clear_line(toy, wish, line):
     assert status == 2 and ran == [] and f"plan.py: {line}\n" in said and not (toy.folder / "build").exists()
 
 
+def test_a_folder_that_make_cannot_name_stops_no_other_scene(toy):
+    for name in ("a b", "x:y"):
+        shutil.copytree(toy.room, toy.folder / "data" / name)
+    status, ran, said = toy.make("room")
+    assert (status, len(ran)) == (0, 4) and "data/x:y: warning: left out" in said and "data/a b: warning" in said
+
+
 def test_a_scene_cannot_bear_a_targets_name(toy):
     shutil.copytree(toy.room, toy.folder / "data/clean")
     with pytest.raises(BadInput, match="target of the Makefile"):

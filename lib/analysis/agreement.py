@@ -48,7 +48,7 @@ def disagreements(problem: Problem, result: Result, found: Gathered, asked, riva
     """
     if not len(problem.tile_group) or result.at is None:
         return []
-    why = [*_range(found), *_transfer(problem, asked, rivals)]
+    why = [*_range(found), *transfer_told(problem, asked, rivals)]
     if problem.specular is None:
         why += lamps(problem, result)
         if not fits(result):
@@ -84,7 +84,7 @@ def _range(found: Gathered):
     return [Why("range", None, text, None)]
 
 
-def _transfer(problem, asked, rivals):
+def transfer_told(problem, asked, rivals) -> list[Why]:
     """A transfer function that scene.yaml tells, where another fits far better."""
     if asked in (None, "auto", *OF_PICTURE) or not rivals:
         return []
@@ -121,7 +121,8 @@ def lamps_told(problem, result) -> tuple[list[Why], bool]:
     if gain < enough(problem):
         return [], False
     little = free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
-    found = gauss_newton(free.problem, start=free.start)
+    # that a camera may mix colours, which was not taken, is no doubt of lamps: either is not as told
+    found = gauss_newton(replace(free.problem, doubted=None), start=free.start)
     return lamps_of(problem, found, gain), little and fits(found)
 
 

@@ -208,6 +208,17 @@ def lamps_alone(first: Candidate, promised: dict) -> Candidate | None:
     return free if free.evidence.nats - first.evidence.nats >= most else None
 
 
+def other_transfer(first: Candidate, promised: dict, leave: Leave) -> tuple[Candidate, dict] | None:
+    """The fit with the simplest transfer function, and {kind: nats} of all that were fitted, where one is told and
+    another promises more than any cause. promised : of `promises`
+    """
+    if leave.response or promised.get("response", -np.inf) < max(promised.values()):
+        return None
+    functions = responses.fitted(first)
+    best = responses.simplest((first, *functions))
+    return None if best is first else (best, _rivals(functions, first))
+
+
 def promises(first: Candidate, leave: Leave) -> dict:
     """{cause: nats} that one step brings: of the causes of the camera, of LAMPS that are told, of one OBJECT."""
     found = _promises(first, leave) | {OBJECT: _of_one_object(first)}
@@ -234,8 +245,13 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
 def _with_free_lamps(found: Explained, leave: Leave):
     """(Candidate, [Taken]): the best explanation by lamps of any emittance, and causes where these do not suffice."""
     first = Candidate.of(freed(found.given.problem), start=found.given.start)
-    if len(found.taken) > 1 or first.evidence.nats >= found.best.evidence.nats - enough(first.problem):
+    least = found.best.evidence.nats - enough(first.problem)
+    if len(found.taken) > 1 or first.evidence.nats >= least:
         return _climbed(first, leave)[:2]
+    if found.best.kind == "curve" and leave.response:  # it bends to lamps that are told wrongly
+        simple = responses.under_srgb(first)
+        if simple.evidence.nats >= least:
+            return simple, []
     return Candidate.of(freed(found.best.problem), found.best.taken, start=found.best.start), found.taken
 
 
@@ -245,8 +261,14 @@ def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) 
     problem = replace(best.problem, doubted=matrix.doubted(best) if leave.response else None)
     result, scale = fit(problem, start=best.start, **options)
     result.iterations += best.result.iterations
-    rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
-    return Explained(problem, result, scale, rivals, [*taken, *more], best.taken, given, best, leave.lens)
+    return Explained(
+        problem, result, scale, _rivals(functions, best), [*taken, *more], best.taken, given, best, leave.lens
+    )
+
+
+def _rivals(functions, best) -> dict:
+    """{kind: nats} by which other transfer functions beat the best's."""
+    return {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
 
 
 def _lobed(base: Candidate, lobes: LampLobes, hopeless) -> Candidate | None:
@@ -360,7 +382,7 @@ def _promising(found: Candidate, leave: Leave, tried) -> dict:
 def _promises(found: Candidate, leave: Leave, tried=()) -> dict:
     """{cause: nats} that one step brings, of the causes that may be taken and were not tried."""
     ask = {}
-    if found.problem.transfer.kind != "linear":
+    if found.problem.transfer.kind != "linear" or not leave.response:  # EXR is linear by what it is
         ask["response"] = responses.promise
     if leave.lens is not None and "vignetting" in leave.causes:
         ask["vignetting"] = lambda found: vignetting.promise(found, leave.lens, leave.pixel)

@@ -8,6 +8,7 @@ the answer says so (`refined`), and is good for nothing else: all is to be made 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -121,31 +122,53 @@ def _energy(task, explained):
 
 
 def _at_once(task, first, leave, may_move) -> Answer | None:
-    """Where a lamp's place, or the lamps' emittances, explain more than anything else might, no cause is looked for."""
+    """Where a lamp's place, or told lamps or a told transfer function that are wrong, explain more than anything else
+    might, no cause is looked for."""
     if not isinstance(first, Candidate):
         return None
     rough = Explained(first.problem, first.result, "", given=first)
+    given = functools.cache(lambda: rough.without_causes(**task.options))
     if first.typical >= explain.HOPELESS and (why := _flipped(task, rough)):
-        return _named(task, rough.without_causes(**task.options), why)
+        return _named(task, given(), why)
     promised = explain.promises(first, leave)
     most = max(promised.values())
     if most < enough(first.problem) or promised[explain.OBJECT] == most:
         return None
+    if why := _transfer_told_wrong(task, first, leave, promised, given):
+        return _answer(given(), why=why)
     if may_move and (refined := _by_light(task, rough, lambda: _audit(task, rough), above=most)):
-        return _answer(rough.without_causes(**task.options), refined=refined, why=refined.why)
+        return _answer(given(), refined=refined, why=refined.why)
+    why = _lamps_told_wrong(task, first, promised, given)
+    return _named(task, given(), why) if why else None
+
+
+def _transfer_told_wrong(task, first, leave, promised, given) -> list:
+    """[Why] of a transfer function that is told, where another leaves nothing to explain."""
+    other = explain.other_transfer(first, promised, leave)
+    why = other and agreement.transfer_told(first.problem, task.transfer, other[1])
+    return why if why and _suffices_alone(task, given(), _alone(task, other[0])) else []
+
+
+def _lamps_told_wrong(task, first, promised, given) -> list:
+    """[Why] of lamps that are told, where others leave nothing to explain."""
     free = None if task.lobes else explain.lamps_alone(first, promised)
     if free is None:
-        return None
-    freed = Explained(free.problem, free.result, "", given=free).without_causes(**task.options)
-    wrong = agreement.lamps_of(first.problem, freed.result, free.evidence.nats - first.evidence.nats)
-    if not wrong or not agreement.fits(freed.result):
-        return None
-    if any(w.cause == "lamp_colour" for w in wrong) and promised.get(matrix.NAME, 0) > MIXES * promised[explain.LAMPS]:
-        return None  # the camera may mix colours: told lamps are not wrong for that
-    given = rough.without_causes(**task.options)
-    if not _energy(task, given).is_explained_by(_energy(task, freed)):
-        return None
-    return _named(task, given, wrong)
+        return []
+    other = _alone(task, free)
+    why = agreement.lamps_of(first.problem, other.result, free.evidence.nats - first.evidence.nats)
+    if any(w.cause == "lamp_colour" for w in why) and promised.get(matrix.NAME, 0) > MIXES * promised[explain.LAMPS]:
+        return []  # the camera may mix colours: told lamps are not wrong for that
+    return why if why and _suffices_alone(task, given(), other) else []
+
+
+def _alone(task, candidate) -> Explained:
+    """The fit that a rough one leads to."""
+    return Explained(candidate.problem, candidate.result, "", given=candidate).without_causes(**task.options)
+
+
+def _suffices_alone(task, given, other) -> bool:
+    """What differs from the given facts leaves nothing to explain."""
+    return agreement.fits(other.result) and _energy(task, given).is_explained_by(_energy(task, other))
 
 
 def _named(task, explained, why) -> Answer:

@@ -34,6 +34,12 @@ def promise(found: Candidate) -> float:
     return promised(problem, at, columns, at.layout.responding, prior).nats - found.evidence.nats
 
 
+def under_srgb(found: Candidate) -> Candidate:
+    """The fit with sRGB."""
+    srgb = Transfer("srgb", matrix=found.problem.transfer.matrix)
+    return Candidate.of(replace(found.problem, transfer=srgb, fit_transfer=False), found.taken)
+
+
 def fitted(found: Candidate) -> list[Candidate]:
     """The fit with a free curve, then those under simpler functions that the curve is like."""
     problem, taken = found.problem, found.taken
