@@ -417,6 +417,29 @@ def test_a_mirror_that_shows_nothing_and_is_named(open_scene):
     agree(found)
 
 
+# -- what the audit's tiles are sure of
+
+
+@pytest.mark.scene
+def test_tiles_of_few_pixels_have_the_lamps_light(tmp_path):
+    """Where the rest is saturated, a tile keeps a pixel or two in a penumbra: one shadow ray each says nothing."""
+    from dataclasses import replace
+
+    from lib.analysis import gather
+    from lib.light import lamps
+
+    studio = Room(tmp_path, rooms.room() | rooms.LAMP | rooms.solid("table", 1.2, 0.8, 0.9, 2.4, 2.0, 1.0), CAMERA)
+    pixels = (studio.facet >= 0) & (np.indices(studio.facet.shape) % 6 == 0).all(axis=0)
+    emitters = lamps.emitters(studio.surface, ("lamp",))
+    direct = lambda sampling: (
+        gather.build(
+            studio.surface, studio.factors.mesh, studio.camera, studio.facet, pixels, emitters, 1, sampling
+        ).direct
+    )
+    true = direct(replace(gather.AUDIT, lamp_samples=1024))
+    assert len(true) > 10 and np.abs(direct(gather.AUDIT) - true).max() < 0.1 * true.max()
+
+
 # -- what scene.yaml says
 
 

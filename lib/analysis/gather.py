@@ -62,6 +62,7 @@ class Sampling:
     seed: int = 5
 
 
+LAMP_SAMPLES = 64  # of each lamp in a tile at least
 AUDIT = Sampling(rays_per_tile=128, rays_per_facet=0, lamp_samples=1, tiles_per_facet=60, seed=77)
 
 
@@ -105,6 +106,21 @@ def pure(photograph, facet):
     return usable & ~(share(black) if photograph.noisy else black) & ~share(saturated)
 
 
+def _direct(surface, emitters, n_lamps, p, side, start, sampling):
+    """(T, L) direct factors of the tiles: small ones have more samples of the lamps in each pixel."""
+    of = lambda p, side, start, n: lamps.direct(
+        surface, emitters, p, side_normals(surface), side, n_lamps, n_samples=n, start=start, seed=sampling.seed - 5
+    )
+    found = of(p, side, start, sampling.lamp_samples)
+    count = np.diff(start)
+    wanted = (2 ** np.ceil(np.log2(LAMP_SAMPLES / np.maximum(count, 1)))).astype(np.int64)
+    for n in np.unique(wanted[wanted > sampling.lamp_samples]):
+        few = wanted == n
+        mine = np.repeat(few, count)
+        found[few] = of(p[mine], side[mine], np.append(0, np.cumsum(count[few])), int(n))
+    return found
+
+
 def build(
     surface: Surface, mesh: Mesh, camera, facet, used, emitters, n_lamps, sampling: Sampling = Sampling(), progress=None
 ) -> Tiles:
@@ -117,17 +133,7 @@ def build(
         facet, used, largest=s.largest, smallest=s.smallest, tiles_per_facet=s.tiles_per_facet
     )
     p, side = backproject(surface, camera, np.repeat(tile_facet, np.diff(start)), pixel)
-    direct = lamps.direct(
-        surface,
-        emitters,
-        p,
-        side_normals(surface),
-        side,
-        n_lamps,
-        n_samples=s.lamp_samples,
-        start=start,
-        seed=s.seed - 5,
-    )
+    direct = _direct(surface, emitters, n_lamps, p, side, start, s)
     tiles_of = np.zeros(0, int)
     if len(tile_facet):
         tiles_of = np.bincount(tile_facet, minlength=len(surface.normal))[tile_facet]
