@@ -38,8 +38,10 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         result.shares[cause] = typical
     if problem.doubted is not None:
         cov = cov + normal.beside(problem.doubted)
-    if at.layout.cause:
-        cov = cov + normal.without_each_group(problem.tile_group, slice(at.layout.responding.stop, None))
+    own = at.layout.responding  # each part of a curve may hang on one group, as causes do
+    hangs = slice(own.start if at.state.transfer.kind == "curve" else own.stop, None)
+    if hangs.start < at.layout.size:
+        cov = cov + normal.without_each_group(problem.tile_group, hangs)
     if result.misfit > MISFIT:
         cov = cov * result.misfit**2  # what noise does not explain may be anything: every value is as uncertain
     sigma = np.maximum(np.sqrt(np.maximum(np.diag(cov), 0)), normal.loose)
