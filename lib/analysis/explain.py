@@ -237,9 +237,10 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
     result, _ = fit(free.problem, start=free.start, **options)
     if not fits(result):
         return []  # what is wrong is something else, to which the lamps bend too
-    seen = replace(told, emittance=best.problem.transfer.mixed(told.emittance))  # as the camera has them
     spared = [t.name for t in found.taken if t.cause not in {u.cause for u in taken}]
-    return lamps_of(seen, result, gain, spared if gain < least else ())
+    if gain < 0 or matrix.NAME not in spared:  # the camera may mix colours, and have the lamps so
+        told = replace(told, emittance=best.problem.transfer.mixed(told.emittance))
+    return lamps_of(told, result, gain, spared if gain < least else ())
 
 
 def _with_free_lamps(found: Explained, leave: Leave):

@@ -16,7 +16,7 @@ from lib.analysis import agreement, explain, glow, lamp_lobe, matrix, responses
 from lib.analysis.agreement import in_doubt
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import Candidate, enough
-from lib.analysis.climbing import Climb
+from lib.analysis.climbing import SPECULAR, Climb
 from lib.analysis.evidence import evidence
 from lib.analysis.explain import Explained, Leave
 from lib.analysis.lamp_lobe import LampLobes
@@ -107,6 +107,9 @@ def solve(task: Task, report: Report) -> Answer:
         for lamp in sorted(task.lobes_unknown - answer.explained.lobes.keys())
     ]
     answer.why = _why(task, answer, edges)
+    if answer.why and answer.climb and not audit.given and not answer.climb.on(*SPECULAR):
+        answer.ascent, found = None, answer.explained  # what is not in the model looks like a texture, too
+        answer.problem, answer.result, answer.scale = found.problem, found.result, found.scale
     return answer
 
 
