@@ -196,6 +196,13 @@ def with_lobes(found: Explained, leave: Leave, **options) -> Explained:
     return found
 
 
+def lobes_may_explain(found: Explained, leave: Leave, nats) -> bool:
+    """Lamps that throw their light in lobes may explain more than something else does by so many nats, all told."""
+    if leave.lobes is None or leave.lobes.asked:
+        return leave.lobes is not None
+    return any(_uneven(base, leave.lobes).evidence.nats > nats for base in (found.given, found.best))
+
+
 def lamps_alone(first: Candidate, promised: dict) -> Candidate | None:
     """The fit with lamps of any emittance, where free ones promise more than any cause and keep it.
 
@@ -277,11 +284,15 @@ def _lobed(base: Candidate, lobes: LampLobes, hopeless) -> Candidate | None:
 
     hopeless : nothing else explains the photograph: a lobe may, even where light that is uneven does not
     """
-    uneven = lamp_lobe.uneven(base, lobes)
+    uneven = _uneven(base, lobes)
     tries = hopeless or lobes.asked or uneven.is_worth(base)
     if not tries or not lobes.asked and _is_one_object(base, uneven.evidence.nats - base.evidence.nats):
         return None
     return lamp_lobe.begun(base, uneven, lobes)
+
+
+def _uneven(base: Candidate, lobes: LampLobes) -> Candidate:
+    return base.once("uneven", lambda base: lamp_lobe.uneven(base, lobes))
 
 
 def _begun(first: Candidate, leave: Leave) -> Candidate:

@@ -77,6 +77,10 @@ def solve(task: Task, report: Report) -> Answer:
     explained = explain.without_lobes(first, leave, **options)
     if task.can_look and (wrong := _told_wrong(task, explained)):
         return _named(task, explained.kept(**options), wrong)
+    may_move = may_move and bool(explained.taken or in_doubt(explained.result))
+    refined = _by_light(task, explained) if may_move else None
+    if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
+        return _answer(explained, refined=refined, why=refined.why)
     lobed = explain.with_lobes(explained, leave, **options)
     explained = explained.kept(**options)
     if not task.can_look:
@@ -84,15 +88,14 @@ def solve(task: Task, report: Report) -> Answer:
         answer.why = _why(task, answer, edges)
         return answer
     plain, in_lobes = task, task.in_lobes(lobed.lobes)
-    if lobed.lobes and (leave.lobes.asked or _suffices(task, explained, in_lobes, lobed)):
+    outdone = refined is not None and not leave.lobes.asked and refined.nats > lobed.best.evidence.nats
+    if lobed.lobes and not outdone and (leave.lobes.asked or _suffices(task, explained, in_lobes, lobed)):
         task, explained = in_lobes, lobed
     audit = _audit(task, explained)
     judged = audit.misfits(explained.problem, explained.result)
     report["ladder"] = _summary(task, explained.problem, judged)
-    if may_move and in_doubt(explained.result):
-        refined = _by_light(plain, explained, lambda: audit if task is plain else _audit(plain, explained))
-        if refined is not None:
-            return _answer(explained, refined=refined, why=refined.why)
+    if refined is not None and task is plain:
+        return _answer(explained, refined=refined, why=refined.why)
     if wrong := explain.lamps_told_wrong(explained, leave, **options):
         answer = _answer(explained, audit, judged)
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
@@ -139,7 +142,7 @@ def _at_once(task, first, leave, may_move) -> Answer | None:
         return None
     if why := _transfer_told_wrong(task, first, leave, promised, given):
         return _answer(given(), why=why)
-    if may_move and (refined := _by_light(task, rough, lambda: _audit(task, rough), above=most)):
+    if may_move and (refined := _by_light(task, rough, above=most)):
         return _answer(given(), refined=refined, why=refined.why)
     why = _lamps_told_wrong(task, first, promised, given)
     return _named(task, given(), why) if why else None
@@ -242,10 +245,11 @@ def _by_edges(task, edges):
     return refined if refined.keeps_parts else None
 
 
-def _by_light(task, explained, audit, above=0.0):
-    """The model with the lamp where its light has it, or None. audit, above : of refine.by_light"""
+def _by_light(task, explained, above=0.0):
+    """The model with the lamp where its light has it, or None. above : of refine.by_light"""
     from lib.analysis import refine
 
+    audit = functools.partial(_audit, task)
     refined = refine.by_light(task.view(), task.factors, task.found, explained, audit, task.place_sigma_m, above)
     return refined if refined is not None and refined.keeps_parts else None
 

@@ -18,6 +18,7 @@ from lib.analysis.problem import CauseTerms, Problem
 from lib.analysis.transport import TileLight
 from lib.vision.registration.motions import World
 
+NAME = "lamp_place"
 STEP_M = 0.02  # over which the light is differenced
 FARTHEST_M = 0.1  # of one round
 SETTLED_M = 2e-3
@@ -63,7 +64,7 @@ class Lamps:
             state, light = at.state, TileLight(there)
             b, _ = light.solve(state.rho, state.E, state.b, tolerance=1e-4)
             columns.append(at.displayed(light.shown(state.rho, state.E, b) - state.B) / STEP_M)
-        return CauseTerms(("lamp_place",) * len(columns), np.stack(columns, axis=-1), np.full(len(columns), prior_m))
+        return CauseTerms((NAME,) * len(columns), np.stack(columns, axis=-1), np.full(len(columns), prior_m))
 
 
 def _plain(problem: Problem, start) -> Equations:
@@ -81,14 +82,14 @@ def promise(found: Candidate, lamps: Lamps, lamp, prior_m) -> float:
 
 
 def fitted(found: Candidate, lamps: Lamps, lamp, prior_m) -> Candidate:
-    """The fit with this lamp where it suits best. `taken` holds its offset."""
+    """The fit with this lamp where it suits best, beside the causes that were taken. `taken` holds its offset."""
     start, offset, axes = found.start, np.zeros(3), lamps.things[lamp][1]
     for _ in range(ROUNDS):
         problem = lamps.problem(found.problem, lamp, offset)
         at = _plain(problem, start)
-        trial = replace(problem, cause=lamps.cause(problem, at, lamp, offset, prior_m))
+        trial = replace(problem, cause=lamps.cause(problem, at, lamp, offset, prior_m).beside(problem.cause))
         result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=8)
-        step = result.state.cause @ axes
+        step = result.state.cause[trial.cause.of(NAME)] @ axes
         length = float(np.linalg.norm(step))
         step *= min(1.0, FARTHEST_M / max(length, 1e-12))
         offset = offset + step
@@ -96,5 +97,5 @@ def fitted(found: Candidate, lamps: Lamps, lamp, prior_m) -> Candidate:
         if length < SETTLED_M:
             break
     problem = lamps.problem(found.problem, lamp, offset)
-    last = replace(problem, cause=lamps.cause(problem, _plain(problem, start), lamp, offset, prior_m))
-    return Candidate.of(last, found.taken | {"lamp_place": {lamp: offset}}, start=start)
+    cause = lamps.cause(problem, _plain(problem, start), lamp, offset, prior_m).beside(problem.cause)
+    return Candidate.of(replace(problem, cause=cause), found.taken | {NAME: {lamp: offset}}, start=start)

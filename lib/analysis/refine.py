@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lib.analysis import lamp_place
+from lib.analysis import lamp_place, vignetting
 from lib.analysis.agreement import fits
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import Candidate, enough
@@ -35,12 +35,16 @@ MORE = 4  # times what one step promises, that a lamp's place may bring at most:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """camera, model : None where they are as given;  causes : [Cause] that moved them;  why : [Why], the same, said"""
+    """camera, model : None where they are as given;  causes : [Cause] that moved them;  why : [Why], the same, said
+
+    nats : of held-out tiles, where it was their light that told
+    """
 
     camera: Camera | None
     model: Model | None
     causes: list
     why: list
+    nats: float | None = None
 
     @property
     def keeps_parts(self) -> bool:
@@ -73,41 +77,31 @@ def by_light(
     factors: FormFactors,
     found: Gathered,
     explained: Explained,
-    audit: Callable[[], Audit],
+    audit: Callable[[Explained], Audit],
     sigma_m,
     above=0.0,
 ):
     """Refinement by the lamp that its light puts elsewhere; None where not all comes to fit by that.
+
+    In place of the causes that were taken, or beside them.
 
     audit : makes it;  sigma_m : {lamp: how surely it stands where it is drawn}, LAMP_PLACE_M where nothing is said
     above : nats that something else promises, which a lamp's place must outdo
 
     What a mirror or a lobe throws may look like a lamp that was moved. But then their own pixels still do not fit.
     """
-    given = explained.given
-    if given is None or given.problem.specular is not None:
+    if explained.given is None or explained.given.problem.specular is not None:
         return None
     lamps = lamp_place.Lamps.of(DirectLight(view, factors, found))
-    least = max(enough(given.problem), above, sum(taken.nats for taken in explained.taken))
-    prior = lambda lamp: sigma_m.get(lamp, LAMP_PLACE_M)
-    promise = lambda given: {lamp: lamp_place.promise(given, lamps, lamp, prior(lamp)) for lamp in lamps.things}
-    promises = given.once("lamp_place", promise)
-    lamp = max(promises, key=promises.get, default=None)
-    if lamp is None or promises[lamp] < max(enough(given.problem), above, least / MORE):
+    search = lambda base, least=0.0, above=0.0: _elsewhere(explained, base, lamps, audit, sigma_m, least, above)
+    best = search(explained.given, max(above, sum(taken.nats for taken in explained.taken)), above)
+    base = explained.given
+    if best is None and explained.taken:
+        base = explained.best
+        best = search(base)
+    if best is None:
         return None
-    best = given.once(("lamp_place", lamp), lambda given: lamp_place.fitted(given, lamps, lamp, prior(lamp)))
-    nats = best.evidence.nats - given.evidence.nats
-    if nats < least:
-        return None
-    result = best.once("fit", lambda best: fit(best.problem, start=best.start)[0])
-    axes, offset = lamps.things[lamp][1], best.taken["lamp_place"][lamp]
-    if not fits(result):
-        return None
-    audit = audit()
-    light = DirectLight(view, factors, audit.gathered).of(lamps.moved(lamp, offset), lamp)[1]
-    if not audit.energy(given.problem, given.result).is_explained_by(audit.energy(best.problem, result, light)):
-        return None
-    covariance = axes.T @ result.cov_cause @ axes
+    lamp, offset, covariance, nats = best
     twist = np.zeros((6, 6))
     twist[3:, 3:] = covariance
     sigma = {"offset_m": np.sqrt(np.diag(covariance)).tolist(), TWIST: twist.tolist()}
@@ -116,7 +110,46 @@ def by_light(
     far = 1000 * np.linalg.norm(offset)
     text = f"lamp {lamp!r} stands {far:.0f} mm from where the model has it, says its light by {nats:.0f} nats"
     why = Why("lamp_place", lamp, text, float(nats))
-    return Refinement(None, lamps.moved(lamp, offset), [cause], [why])
+    return Refinement(None, lamps.moved(lamp, offset), [cause], [why], base.evidence.nats + nats)
+
+
+def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, least, above):
+    """(lamp, offset (3,), its covariance, nats) of the lamp that explains most elsewhere; None where not all fits then.
+
+    base : of `explained`, without its causes or with them;  least : nats that it must bring
+    above : that one step must promise, too
+    """
+    least = max(least, enough(base.problem))
+    prior = lambda lamp: sigma_m.get(lamp, LAMP_PLACE_M)
+    promise = lambda base: {lamp: lamp_place.promise(base, lamps, lamp, prior(lamp)) for lamp in lamps.things}
+    promises = base.once("lamp_place", promise)
+    lamp = max(promises, key=promises.get, default=None)
+    if lamp is None or promises[lamp] < max(enough(base.problem), above, least / MORE):
+        return None
+    best = base.once(("lamp_place", lamp), lambda base: _moved(explained, base, lamps, lamp, prior(lamp)))
+    nats = best.evidence.nats - base.evidence.nats
+    if nats < least:
+        return None
+    result = best.once("fit", lambda best: fit(best.problem, start=best.start)[0])
+    if not fits(result):
+        return None
+    axes, offset = lamps.things[lamp][1], best.taken[lamp_place.NAME][lamp]
+    with_causes = lambda c: replace(explained, problem=c.problem, result=c.result, values=c.taken)
+    before, after = audit(with_causes(base)), audit(with_causes(best))
+    light = DirectLight(lamps.light.view, lamps.light.factors, after.gathered).of(lamps.moved(lamp, offset), lamp)[1]
+    energy = after.energy(best.problem, result, light)
+    if not before.energy(base.problem, base.result).is_explained_by(energy):
+        return None
+    own = best.problem.cause.of(lamp_place.NAME)
+    return lamp, offset, axes.T @ result.cov_cause[np.ix_(own, own)] @ axes, nats
+
+
+def _moved(explained: Explained, base: Candidate, lamps, lamp, prior_m) -> Candidate:
+    """The fit with the lamp elsewhere, and the lens's shadow as it is then."""
+    best = lamp_place.fitted(base, lamps, lamp, prior_m)
+    if vignetting.NAME not in best.taken:
+        return best
+    return vignetting.fitted(best, explained.lens, lamps.light.found.tiles.pixel)
 
 
 def flipped(view: View, factors: FormFactors, found: Gathered, explained: Explained) -> list[Why]:
