@@ -77,6 +77,9 @@ def solve(task: Task, report: Report) -> Answer:
     explained = explain.without_lobes(first, leave, **options)
     if task.can_look and (wrong := _told_wrong(task, explained)):
         return _named(task, explained.kept(**options), wrong)
+    seen = _answer(explained, *_looked(task, explained)) if task.can_look else None
+    if seen is not None and _is_something_missing(task, seen, edges):
+        return seen
     may_move = may_move and bool(explained.taken or in_doubt(explained.result))
     refined = _by_light(task, explained) if may_move else None
     if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
@@ -91,8 +94,8 @@ def solve(task: Task, report: Report) -> Answer:
     outdone = refined is not None and not leave.lobes.asked and refined.nats > lobed.best.evidence.nats
     if lobed.lobes and not outdone and (leave.lobes.asked or _suffices(task, explained, in_lobes, lobed)):
         task, explained = in_lobes, lobed
-    audit = _audit(task, explained)
-    judged = audit.misfits(explained.problem, explained.result)
+    is_seen = explained is seen.explained
+    audit, judged = (seen.audit, seen.judged) if is_seen else _looked(task, explained)
     report["ladder"] = _summary(task, explained.problem, judged)
     if refined is not None and task is plain:
         return _answer(explained, refined=refined, why=refined.why)
@@ -103,8 +106,7 @@ def solve(task: Task, report: Report) -> Answer:
     answer = _materials(task, explained, audit, judged, report)
     report["ladder"] |= answer.ladder
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
-        task, audit = in_lobes, _audit(in_lobes, lobed)  # nothing suffices, lobes come nearest
-        answer = _answer(lobed, audit, audit.misfits(lobed.problem, lobed.result))
+        task, answer = in_lobes, _answer(lobed, *_looked(in_lobes, lobed))  # nothing suffices, lobes come nearest
     answer.warnings += [
         f"lamp {lamp!r}: no lobe fits the photograph better than an even lamp"
         for lamp in sorted(task.lobes_unknown - answer.explained.lobes.keys())
@@ -201,6 +203,24 @@ def _told_wrong(task, explained) -> list:
     return why if settled else []
 
 
+def _is_something_missing(task, answer, edges) -> bool:
+    """Whether something stands before several groups that the model has not, which is said in `why`, and little else is
+    off: no more is looked for, since all that could be learnt would bend to it."""
+    from lib.analysis import strangers
+
+    found = answer.explained
+    flagged = answer.audit.flagged(found.problem, answer.judged)
+    if not flagged and not in_doubt(found.result):
+        return False
+    things = strangers.things(task.view(), task.factors, found, answer.audit)
+    behind = {g for thing in things for g in thing.behind}
+    energy = lambda groups: sum(answer.judged[g].energy for g in groups if g in answer.judged)
+    if all(thing.alone for thing in things) or energy(behind) < energy(set(flagged) - behind):
+        return False  # a mirror elsewhere may throw such light
+    answer.why = _why(task, answer, edges, things)
+    return any(w.cause == "object_missing" for w in answer.why)
+
+
 def _missing(task, explained, audit) -> list:
     """[Why] of things that the model has not: light that they take may pass for a lamp's."""
     from lib.analysis import strangers
@@ -210,6 +230,12 @@ def _missing(task, explained, audit) -> list:
 
 def _audit(task, explained) -> Audit:
     return Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold)
+
+
+def _looked(task, explained) -> tuple[Audit, dict]:
+    """The audit, and its misfits."""
+    audit = _audit(task, explained)
+    return audit, audit.misfits(explained.problem, explained.result)
 
 
 def _answer(explained: Explained, audit=None, judged=None, **more) -> Answer:
@@ -261,8 +287,7 @@ def _materials(task, explained, audit, judged, report) -> Answer:
     if not flagged or not explained.taken or explained.lobes or not doubtful:
         return _of_groups(task, explained, audit, judged, report)
     bare = explained.without_causes(**task.options)
-    bare_audit = _audit(task, bare)
-    answer = _of_groups(task, bare, bare_audit, bare_audit.misfits(bare.problem, bare.result), report)
+    answer = _of_groups(task, bare, *_looked(task, bare), report)
     if not explained.is_sure:
         return answer
     caused = _of_groups(task, explained, audit, judged, report)
@@ -329,15 +354,15 @@ def _is_wrong_everywhere(explained, audit, judged):
     return everywhere and not agreement.fits(explained.result) and not audit.given
 
 
-def _why(task, answer: Answer, edges):
-    """[Why] photograph and facts do not agree, the likeliest first."""
+def _why(task, answer: Answer, edges, things=None):
+    """[Why] photograph and facts do not agree, the likeliest first. things : of strangers.things, where known"""
     result = answer.result
     why = agreement.disagreements(answer.problem, result, task.found, task.transfer, _rivals(answer))
     if edges is not None and in_doubt(result):
         why = agreement.joined(why, edges.why)
     if answer.audit is None or any(w.cause == "transfer" for w in why):
         return why  # under another function than the camera's, shadows look like things
-    return agreement.joined(why, _strange(task, answer, bool(why)))
+    return agreement.joined(why, _strange(task, answer, bool(why), things))
 
 
 def _rivals(answer) -> dict:
@@ -350,7 +375,7 @@ def _rivals(answer) -> dict:
     return rivals if left > 0 else {}
 
 
-def _strange(task, answer, is_wrong):
+def _strange(task, answer, is_wrong, things):
     """What the photograph shows and the model has not, in words. is_wrong : photograph and facts disagree anyway"""
     from lib.analysis import strangers
 
@@ -360,8 +385,10 @@ def _strange(task, answer, is_wrong):
     doubtful = is_wrong or climb and in_doubt(climb.result)
     objects = lambda: task.view().model.objects
     sure = {g: rung for g, rung in climbed.items() if not doubtful or rung != "textured"}
+    if things is None:
+        things = strangers.things(task.view(), task.factors, explained, answer.audit, sure)
     return [
-        *strangers.things_missing(task.view(), task.factors, explained, answer.audit, sure),
+        *(strangers.said(thing, explained.problem.groups) for thing in things),
         *(
             strangers.groups_wrong(explained.problem, explained.result, objects, climbed)
             or strangers.things_unlike(explained, answer.audit, answer.judged, objects, climbed)

@@ -43,12 +43,14 @@ class Thing(NamedTuple):
     """What stands before surfaces.
 
     middle : x, y px;  behind : numbers of the groups, the most covered first;  sharp : share of the outline that is
+    alone : it stands before one group, whose mirror or texture may show it
     """
 
     pixels: int
     middle: tuple
     behind: list
     sharp: float
+    alone: bool
 
     @property
     def is_sharp(self):
@@ -76,19 +78,22 @@ def _found(picture, factors, several):
         for pixels, mine, middle in picture.spots(level):
             known = any((mine & other).any() for other, _ in found)
             if not known and picture.is_thing(mine, several):
-                found.append((mine, Thing(pixels, tuple(middle), picture.behind(mine), picture.sharpness(mine))))
+                behind, sharp = picture.behind(mine), picture.sharpness(mine)
+                found.append((mine, Thing(pixels, tuple(middle), behind, sharp, _is_of_one(picture.of_group[mine]))))
     return found
 
 
 def things_missing(view: View, factors: FormFactors, explained: Explained, audit: Audit, climbed=()) -> list[Why]:
     """A line for each of `things`."""
-    groups, said = explained.problem.groups, []
-    for thing in things(view, factors, explained, audit, climbed):
-        x, y = thing.middle
-        where = f"something at pixel ({x:.0f}, {y:.0f}), {thing.pixels} pixels large, is not in the model"
-        before = " and ".join(repr(groups[g]) for g in thing.behind[:2])
-        said.append(Why("object_missing", None, f"{where}: it stands before {before}", None))
-    return said
+    return [said(thing, explained.problem.groups) for thing in things(view, factors, explained, audit, climbed)]
+
+
+def said(thing: Thing, groups) -> Why:
+    """In words. groups : their names"""
+    x, y = thing.middle
+    where = f"something at pixel ({x:.0f}, {y:.0f}), {thing.pixels} pixels large, is not in the model"
+    before = " and ".join(repr(groups[g]) for g in thing.behind[:2])
+    return Why("object_missing", None, f"{where}: it stands before {before}", None)
 
 
 class _Picture:
@@ -180,8 +185,7 @@ class _Picture:
         count = np.bincount(self.owner[mine & (self.owner >= 0)], minlength=1)
         if not count.any():
             return False
-        most = int(count.argmax())
-        alone = 1 - count.max() / count.sum() < ELSEWHERE
+        most, alone = int(count.argmax()), _is_of_one(self.owner[mine])
         if alone and self._group_of(most) in self.climbed and not self._is_plain_but_for(mine, most):
             return False
         if count.max() > WHOLE * np.count_nonzero(self.owner == most):
@@ -217,6 +221,12 @@ class _Picture:
         """The groups before which it stands."""
         groups, count = np.unique(self.of_group[mine & (self.owner >= 0)], return_counts=True)
         return groups[np.argsort(-count)].tolist()
+
+
+def _is_of_one(owner):
+    """Nearly all of the pixels (n,) have the same owner; -1: they have none."""
+    count = np.bincount(owner[owner >= 0], minlength=1)
+    return bool(count.sum() - count.max() < ELSEWHERE * count.sum())
 
 
 def _step(light, px):
