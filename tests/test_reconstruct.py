@@ -9,7 +9,7 @@ import pytest
 from lib.given import cameras, image
 from lib.given.cameras import Camera
 from lib.vision import matching
-from lib.vision.facets import borders, sides
+from lib.vision.facets import borders, contours, sides, uncertainty
 from lib.vision.facets import contours_kernels as kernels
 from lib.vision.facets import planes as facets
 from lib.vision.facets.contours_kernels import Border
@@ -54,6 +54,29 @@ def test_coverage_of_true_regions():
         inside += [chi2(x, Q.m[label]) < CHI2_95 for label, x in found.items() if label < 7]
     assert len(inside) > 570
     assert 0.90 <= np.mean(inside) <= 0.98
+
+
+def test_a_side_that_is_not_the_facets_is_in_sigma():
+    """Six sides with .02 px of noise; one of them .5 px off, which the residuals of the other five hardly show."""
+    random = np.random.default_rng(0)
+    part = np.repeat(np.arange(6), 30)
+    angle = np.radians(30 + 60 * part)
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    uv = 40 * normal + random.uniform(-20, 20, len(part))[:, None] * normal[:, ::-1] * [-1, 1]
+    rows = np.zeros((len(part), kernels.COLUMNS))
+    rows[:, 0], rows[:, 1], rows[:, 2] = -(normal[:, :1] * np.column_stack([uv, np.ones(len(uv))])).T / 0.02
+    rows[:, kernels.PART], rows[:, kernels.SIGMA] = part, 0.02
+    rows[:, kernels.WEIGHT], rows[:, kernels.RESIDUAL] = 1, random.normal(size=len(part))
+    for off, wider in ((0.0, (1, 3)), (0.5, (100, 1e4))):
+        moved = rows.copy()
+        moved[part == 0, kernels.RESIDUAL] += off / 0.02
+        x = contours._normal_equations(np.zeros(3), np.zeros(2), 40.0, moved, 6)
+        covariance = np.linalg.inv(x.A)
+        held = uncertainty.held_by_sides(x, 0.0, covariance)
+        ratio = np.linalg.eigvals(np.linalg.solve(covariance, held)).real
+        assert ratio.min() > 1 - 1e-9 and wider[0] <= ratio.max() <= wider[1]
+        step = -np.linalg.solve(x.A, x.b)
+        assert step @ np.linalg.solve(held, step) < CHI2_95
 
 
 @pytest.mark.scene

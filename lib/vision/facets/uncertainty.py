@@ -1,7 +1,8 @@
 """How well planes are known, beyond the noise of independent points.
 
-Three things add to it. Neighbouring points err together (`together`). Sides of outlines are off as a whole
-(`side_sigma`, `own_side_sigma`). Borders and texture may contradict each other (`disagreement`).
+Four things add to it. Neighbouring points err together (`together`). Sides of outlines are off as a whole
+(`side_sigma`, `own_side_sigma`). One side may not be the facet's (`held_by_sides`). Borders and texture may contradict
+each other (`disagreement`).
 """
 
 from typing import NamedTuple
@@ -9,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.vision.facets.contours import Measured
-from lib.vision.facets.contours_kernels import PART, RESIDUAL, WEIGHT, U, V
+from lib.vision.facets.contours_kernels import PART, RESIDUAL, SIGMA, WEIGHT, U, V
 
 MISFIT = 1.2  # times the ordinary rms of the pair's borders: what lies farther apart is not one plane's
 CHI2_95 = 7.81  # of 3 degrees of freedom
 SIDE_SIGMAS = np.array([0, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])  # px, tried
+ESSENTIAL = 0.9  # share of what is known in some direction that is one side's, at most: the plane rests on it
 
 
 class NormalEquations(NamedTuple):
@@ -103,6 +105,38 @@ def own_side_sigma(x: Measured, sigma_side: float, ordinary: float) -> float:
     error of each side.
     """
     return float(np.hypot(sigma_side, x.rms_px)) if x.points and x.rms_px > MISFIT * ordinary else sigma_side
+
+
+def held_by_sides(x: Measured, sigma_side: float, covariance) -> np.ndarray:
+    """The covariance (3, 3) of a plane's correction, wider where its sides pull at it by more than they should.
+
+    A side that is not the facet's (what hides the facet ends there, or a shadow) draws the plane to it. The pulls of
+    the sides add up to none; their squares, each over what the fit has left of it, are another estimate of the
+    covariance, which errors of whole sides are in (HC2: MacKinnon and White 1985).
+    """
+    values, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(values) @ axes.T
+    spread = np.zeros((3, 3))
+    for own, pull in _of_each_side(x, sigma_side, covariance):
+        share, way = np.linalg.eigh(root @ own @ root)
+        kept = way / np.sqrt(np.maximum(1 - share, 1 - ESSENTIAL)) @ way.T @ (root @ pull)
+        spread += np.outer(kept, kept)
+    wider, axes = np.linalg.eigh(spread)
+    return root @ (axes * np.maximum(wider, 1)) @ axes.T @ root
+
+
+def _of_each_side(x: Measured, sigma_side: float, covariance):
+    """(3, 3) what each side knows of the plane, and (3,) how it pulls at the plane that all agree on."""
+    _, b, _, _ = with_sides(x, sigma_side)
+    best = -covariance @ b
+    k = 1 / (x.C + 1 / sigma_side**2) if sigma_side else np.zeros(len(x.C))
+    part, w = x.rows[:, PART].astype(int), x.rows[:, WEIGHT]
+    J, e = x.rows[:, :3] / [x.size, x.size, 1], x.rows[:, RESIDUAL]
+    for p in np.unique(part):
+        mine = part == p
+        factor = x.C[p] / (w[mine] / x.rows[mine, SIGMA] ** 2).sum()  # as the sums were widened
+        own = factor * (J[mine] * w[mine, None]).T @ J[mine] - k[p] * np.outer(x.B[p], x.B[p])
+        yield own, factor * J[mine].T @ (w[mine] * e[mine]) - k[p] * x.D[p] * x.B[p] + own @ best
 
 
 def disagreement(x: Measured, A, b) -> float:
