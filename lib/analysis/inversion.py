@@ -78,8 +78,8 @@ def solve(task: Task, report: Report) -> Answer:
     if task.can_look and (wrong := _told_wrong(task, explained)):
         return _named(task, explained.kept(**options), wrong)
     seen = _answer(explained, *_looked(task, explained)) if task.can_look else None
-    if seen is not None and _is_something_missing(task, seen, edges):
-        return seen
+    if seen is not None and (why := _something_missing(task, seen, edges)):
+        return replace(seen, why=why)
     may_move = may_move and bool(explained.taken or in_doubt(explained.result))
     refined = _by_light(task, explained) if may_move else None
     if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
@@ -203,29 +203,29 @@ def _told_wrong(task, explained) -> list:
     return why if settled else []
 
 
-def _is_something_missing(task, answer, edges) -> bool:
-    """Whether something stands before several groups that the model has not, which is said in `why`, and little else is
-    off: no more is looked for, since all that could be learnt would bend to it."""
+def _something_missing(task, answer, edges) -> list:
+    """[Why], where something stands before several groups that the model has not, and little else is off: no more is
+    looked for then, since all that could be learnt would bend to it."""
     from lib.analysis import strangers
 
     found = answer.explained
     flagged = answer.audit.flagged(found.problem, answer.judged)
     if not flagged and not in_doubt(found.result):
-        return False
+        return []
     things = strangers.things(task.view(), task.factors, found, answer.audit)
     behind = {g for thing in things for g in thing.behind}
     energy = lambda groups: sum(answer.judged[g].energy for g in groups if g in answer.judged)
     if all(thing.alone for thing in things) or energy(behind) < energy(set(flagged) - behind):
-        return False  # a mirror elsewhere may throw such light
-    answer.why = _why(task, answer, edges, things)
-    return any(w.cause == "object_missing" for w in answer.why)
+        return []  # a mirror elsewhere may throw such light
+    why = _why(task, answer, edges, things)
+    return why if any(w.cause == "object_missing" for w in why) else []
 
 
 def _missing(task, explained, audit) -> list:
     """[Why] of things that the model has not: light that they take may pass for a lamp's."""
     from lib.analysis import strangers
 
-    return strangers.things_missing(task.view(), task.factors, explained, audit)
+    return strangers.said(strangers.things(task.view(), task.factors, explained, audit), explained.problem.groups)
 
 
 def _audit(task, explained) -> Audit:
@@ -388,7 +388,7 @@ def _strange(task, answer, is_wrong, things):
     if things is None:
         things = strangers.things(task.view(), task.factors, explained, answer.audit, sure)
     return [
-        *(strangers.said(thing, explained.problem.groups) for thing in things),
+        *strangers.said(things, explained.problem.groups),
         *(
             strangers.groups_wrong(explained.problem, explained.result, objects, climbed)
             or strangers.things_unlike(explained, answer.audit, answer.judged, objects, climbed)

@@ -83,17 +83,15 @@ def _found(picture, factors, several):
     return found
 
 
-def things_missing(view: View, factors: FormFactors, explained: Explained, audit: Audit, climbed=()) -> list[Why]:
-    """A line for each of `things`."""
-    return [said(thing, explained.problem.groups) for thing in things(view, factors, explained, audit, climbed)]
-
-
-def said(thing: Thing, groups) -> Why:
-    """In words. groups : their names"""
-    x, y = thing.middle
-    where = f"something at pixel ({x:.0f}, {y:.0f}), {thing.pixels} pixels large, is not in the model"
-    before = " and ".join(repr(groups[g]) for g in thing.behind[:2])
-    return Why("object_missing", None, f"{where}: it stands before {before}", None)
+def said(things: list[Thing], groups) -> list[Why]:
+    """A line for each. groups : their names"""
+    lines = []
+    for thing in things:
+        x, y = thing.middle
+        where = f"something at pixel ({x:.0f}, {y:.0f}), {thing.pixels} pixels large, is not in the model"
+        before = " and ".join(repr(groups[g]) for g in thing.behind[:2])
+        lines.append(Why("object_missing", None, f"{where}: it stands before {before}", None))
+    return lines
 
 
 class _Picture:

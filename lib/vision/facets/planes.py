@@ -265,8 +265,10 @@ def _facet(sight, l, r, x, sigma_side):
     w, V = np.linalg.eigh(A)
     if not w[0] > 1e-9 * w[2]:
         return "condition: its borders run along the epipolar lines, or in one line"
-    inverse = uncertainty.held_by_sides(x, sigma_side, (V / w) @ V.T)
-    plane = x.plane - (V / w) @ V.T @ b / unit
+    inverse = (V / w) @ V.T
+    step = -inverse @ b
+    plane = x.plane + step / unit
+    inverse = uncertainty.held_by_sides(x, sigma_side, inverse, step)
     to_m = _m_from_disparity(pair, (u0, v0))
     covariance = to_m @ (inverse / unit / unit[:, None]) @ to_m.T * uncertainty.disagreement(x, A, b)
     m = to_m @ plane

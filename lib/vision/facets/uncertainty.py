@@ -107,8 +107,8 @@ def own_side_sigma(x: Measured, sigma_side: float, ordinary: float) -> float:
     return float(np.hypot(sigma_side, x.rms_px)) if x.points and x.rms_px > MISFIT * ordinary else sigma_side
 
 
-def held_by_sides(x: Measured, sigma_side: float, covariance) -> np.ndarray:
-    """The covariance (3, 3) of a plane's correction, wider where its sides pull at it by more than they should.
+def held_by_sides(x: Measured, sigma_side: float, covariance, step) -> np.ndarray:
+    """The covariance (3, 3) of a plane's correction (3,), wider where its sides pull at it by more than they should.
 
     A side that is not the facet's (what hides the facet ends there, or a shadow) draws the plane to it. The pulls of
     the sides add up to none; their squares, each over what the fit has left of it, are another estimate of the
@@ -117,7 +117,7 @@ def held_by_sides(x: Measured, sigma_side: float, covariance) -> np.ndarray:
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(values) @ axes.T
     spread = np.zeros((3, 3))
-    for own, pull in _of_each_side(x, sigma_side, covariance):
+    for own, pull in _of_each_side(x, sigma_side, step):
         share, way = np.linalg.eigh(root @ own @ root)
         kept = way / np.sqrt(np.maximum(1 - share, 1 - ESSENTIAL)) @ way.T @ (root @ pull)
         spread += np.outer(kept, kept)
@@ -125,10 +125,8 @@ def held_by_sides(x: Measured, sigma_side: float, covariance) -> np.ndarray:
     return root @ (axes * np.maximum(wider, 1)) @ axes.T @ root
 
 
-def _of_each_side(x: Measured, sigma_side: float, covariance):
-    """(3, 3) what each side knows of the plane, and (3,) how it pulls at the plane that all agree on."""
-    _, b, _, _ = with_sides(x, sigma_side)
-    best = -covariance @ b
+def _of_each_side(x: Measured, sigma_side: float, step):
+    """(3, 3) what each side knows of the plane, and (3,) how it pulls at the plane after the step."""
     k = 1 / (x.C + 1 / sigma_side**2) if sigma_side else np.zeros(len(x.C))
     part, w = x.rows[:, PART].astype(int), x.rows[:, WEIGHT]
     J, e = x.rows[:, :3] / [x.size, x.size, 1], x.rows[:, RESIDUAL]
@@ -136,7 +134,7 @@ def _of_each_side(x: Measured, sigma_side: float, covariance):
         mine = part == p
         factor = x.C[p] / (w[mine] / x.rows[mine, SIGMA] ** 2).sum()  # as the sums were widened
         own = factor * (J[mine] * w[mine, None]).T @ J[mine] - k[p] * np.outer(x.B[p], x.B[p])
-        yield own, factor * J[mine].T @ (w[mine] * e[mine]) - k[p] * x.D[p] * x.B[p] + own @ best
+        yield own, factor * J[mine].T @ (w[mine] * e[mine]) - k[p] * x.D[p] * x.B[p] + own @ step
 
 
 def disagreement(x: Measured, A, b) -> float:
