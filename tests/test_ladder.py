@@ -10,10 +10,13 @@ Where a law takes long, `make test-slow` alone runs it.
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from lib.analysis import rungs
+from lib.analysis.misfits import Misfit
 from lib.core import stage
 from tests.helpers import rooms
 from tests.helpers.small_scenes import Studio, fit_stage, photograph
@@ -145,6 +148,22 @@ def test_noise_makes_no_wall_glossy(room, seed):
 def test_ten_percent_noise_makes_no_wall_a_texture(room):
     found, _ = room.found({"picture": 0.3}, photo=dict(noise=0.1, seed=1))
     assert kinds(found) == {}
+
+
+def test_what_a_group_may_keep_asks_for_no_lobe():
+    """Noise tells nothing of a lobe on tiles that a diffuse surface explains."""
+    off = lambda excess: Misfit(excess, excess, 0.0, 85, 20_000)
+    lobe = rungs.Trial("glossy", 0, off(0.0), off(0.0), np.ones(3), np.full(3, 0.01), np.full(2, 0.01), kept=0.006)
+    assert lobe.explained == 0 and not lobe.is_at_border
+    assert replace(lobe, diffuse=off(0.003)).explained == pytest.approx(0.25)
+    assert replace(lobe, diffuse=off(0.02)).explained == 1
+
+
+@pytest.mark.parametrize(
+    "rho_s, alpha, border", [(1.0, 0.6, True), (0.5, 0.001, True), (0.5, 1.2, True), (1.0, 0.05, False)]
+)
+def test_no_surface_has_a_lobe_at_which_searches_end(rho_s, alpha, border):
+    assert rungs.at_border(np.array([rho_s, 0.3, 0.3]), np.full(2, alpha)) == border
 
 
 def test_a_black_photograph_says_nothing(room):

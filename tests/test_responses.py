@@ -145,6 +145,18 @@ def test_what_helps_one_group_alone_is_told_from_what_helps_all():
     assert all_of_them[0] > 30 and all_of_them[1] > 0.7 * all_of_them[0]
 
 
+@pytest.mark.parametrize("groups, is_camera", [((1, 2, 3, 4), True), ((2,), False), ((4,), False)])
+def test_a_camera_mixes_colours_of_all_groups_in_one_way(groups, is_camera):
+    """Where one group's colours alone are mixed, the others' mixing tells nothing of it."""
+    problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)
+    camera = replace(problem.transfer, matrix=MIXING)
+    mixed = np.isin(problem.tile_group, groups)[np.repeat(np.arange(len(problem.tile_group)), problem.n_pixels)]
+    shown = camera.display(problem.transfer.linear(problem.pixels))
+    pixels = np.where(mixed[:, None], shown, problem.pixels)
+    before = Candidate.of(replace(problem, pixels=pixels, transfer=Transfer("gamma", 2.0)))
+    assert matrix.is_of_the_camera(matrix.fitted(before), before) == is_camera
+
+
 def test_sigma_knows_what_mixing_hangs_on_one_group():
     """The light of one group is wrong, so M is: by no more than what leaving that group out changes."""
     problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)

@@ -122,3 +122,14 @@ def promised(problem: Problem, at: Equations, columns, own=slice(0, 0), prior=No
     wider[-k:, -k:] = np.zeros((k, k)) if prior is None else prior
     predicted = held_out(problem, at.residual, J, np.append(gradient[keep], np.zeros(k)), wider)
     return likelihood(predicted, noise_variance(problem, at))
+
+
+def as_others_have_it(problem: Problem, at: Equations, own, tiles) -> Evidence:
+    """Of some tiles (T,) bool, where the parameters `own` (k,) are what all other tiles make them."""
+    J, r, (gradient, H) = at.jacobian, at.residual.reshape(-1), at.prior()
+    weight = np.where(tiles[:, None], 0, weights(problem, at.residual)).reshape(-1)
+    step = steady(J.T @ (weight[:, None] * J) + H, -(J.T @ (weight * r) + gradient))[own]
+    rest = np.setdiff1d(np.arange(J.shape[1]), own)
+    there = at.residual + (J[:, own] @ step).reshape(at.residual.shape)
+    predicted = held_out(problem, there, J[:, rest], gradient[rest], H[np.ix_(rest, rest)])
+    return likelihood(predicted[tiles], noise_variance(problem, at)[tiles])

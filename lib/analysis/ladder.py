@@ -63,8 +63,8 @@ def climb(
         here = fitted(here)
         if step.sure_only and not (wanted or is_mirror) and here.result.correlated > PROGRESS * before:
             break  # a mirror's picture is no chance, and there may be more of them
-        if _back(here, threshold):
-            here = fitted(here)
+        if back := _back(here, threshold) + _at_border(here):
+            here, settled = fitted(here), settled | set(back)
         wanted, settled = {}, settled | set(given)
     return here
 
@@ -161,7 +161,9 @@ class _Step:
                 return [t for t in trials if t.rung == wanted]
             if any(t.misfit.excess <= self.threshold or t.explained > 0.7 for t in trials):
                 return above(trials)  # if the rest is more than the light's, it climbs on
-        lobes = rungs.as_glossy(self.site, light, g, self.threshold, sharp=g in self.covered and g not in self.wanted)
+        kept = 0.0 if g in self.wanted else tolerance(self.here.misfits[g], self.threshold)
+        sharp = g in self.covered and g not in self.wanted
+        lobes = rungs.as_glossy(self.site, light, g, self.threshold, kept, sharp)
         return above(trials + [t for t in lobes if wanted in (None, RUNGS[t.rung].kind)])
 
     def _light_without(self, g) -> LightSoFar:
@@ -196,7 +198,7 @@ class _Step:
 
     def _choice(self, g) -> _Choice | None:
         """The lowest of the rungs that explain the group about as well as the best; None if that is not enough."""
-        tried = self.trials[g]
+        tried = [t for t in self.trials[g] if g in self.wanted or not t.is_at_border]
         if not tried:
             return None
         # the light is not yet that of the end: about as good is good
@@ -266,3 +268,15 @@ def _back(here: Climb, threshold) -> list:
             why=f"{why}; {now:.4f} in the light by way of what climbed after it", tried=here.places[g].tried
         )
     return back
+
+
+def _at_border(here: Climb) -> list:
+    """Lobes that bent to a shape at which searches end: they are none. They are diffuse again, and stay so."""
+    found = []
+    for m, g in enumerate(here.finish.groups if here.finish is not None else ()):
+        place, rho_s = here.places[g], here.result.state.rho_s[m]
+        if RUNGS[place.rung].lobe and not place.given and rungs.at_border(rho_s, place.alpha):
+            shape = f"rho_s up to {rho_s.max():.3f}, alpha {place.alpha.max():.3f}"
+            here.places[g] = Place(why=f"{place.why}; the lobe bent to what no surface has: {shape}", tried=place.tried)
+            found.append(g)
+    return found

@@ -10,15 +10,15 @@ from dataclasses import replace
 import numpy as np
 
 from lib.analysis.candidates import MIXING, NATS, Candidate
-from lib.analysis.evidence import gain, promised
+from lib.analysis.evidence import as_others_have_it, gain, promised
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import CauseTerms
 
 NAME = "matrix"
 SPREAD = 0.1  # standard deviation of each number beside the diagonal before anything is seen
 MOST = 0.6  # of a number off the unit matrix: sensors' own colours are .1 to .5 off, vivid picture styles .1 to .3
-SEVERAL = 0.55  # of what mixing brings that other groups gain than the one that gains most: .64 to .86 in rooms that
-# were mixed, up to .50 where light under one table is wrong
+SEVERAL = 0.55  # of what mixing promises that other groups gain than the one that gains most
+HOLDS = 0.35  # of what a group gains by mixing that it gains by the others' mixing: .46 to 1 in rooms that were mixed
 ROUNDS, SETTLED = 6, 2e-3
 OFF = [(c, j) for c in range(3) for j in range(3) if j != c]
 OFF_AT = tuple(np.transpose(OFF))
@@ -52,20 +52,21 @@ def promise(found: Candidate) -> float:
     prior = np.diag(1 / cause.spread**2)
     mixed = promised(found.problem, found.result.at, cause.columns, prior=prior)
     total, others = gain(found.problem, mixed, found.evidence)
-    return total if _is_of_several(total, others) else others
-
-
-def _is_of_several(total, others):
-    """A camera mixes colours of all groups: where one gains most, its light or its material is what is wrong."""
-    return others >= max(NATS, SEVERAL * total)
+    # where one group gains most, its light or its material may be what is wrong
+    return total if others >= max(NATS, SEVERAL * total) else others
 
 
 def is_of_the_camera(mixed: Candidate, found: Candidate) -> bool:
-    """It mixes colours of all groups, and no more than cameras do: else something else bent to it.
+    """It mixes colours of all groups in one way, and no more than cameras do: else something else bent to it.
 
-    found : the fit without mixing
+    The group that gains most must gain by what all others make of the mixing, too.  found : the fit without mixing
     """
-    return is_physical(mixed) and _is_of_several(*gain(found.problem, mixed.evidence, found.evidence))
+    problem, at = mixed.problem, mixed.result.at
+    most = problem.tile_group == np.bincount(problem.tile_group, mixed.evidence.each - found.evidence.each).argmax()
+    own = at.layout.responding.stop + np.flatnonzero(problem.cause.of(NAME))
+    without, by_itself = found.evidence.on(most).nats, mixed.evidence.on(most).nats
+    by_others = as_others_have_it(problem, at, own, most).nats
+    return is_physical(mixed) and by_others - without >= max(HOLDS * (by_itself - without), 0)
 
 
 def is_physical(mixed: Candidate) -> bool:

@@ -16,6 +16,7 @@ from lib.analysis.problem import Problem, State, TilePixels
 from lib.analysis.receivers import Receivers, few
 from lib.analysis.site import Site
 from lib.analysis.specular_ways import PLAIN, SHEEN, irradiance_past
+from lib.given.kinds import RUNGS
 from lib.given.transfer import Metric
 from lib.light import lamps, specular_lamps
 from lib.light.chains import GLOSSY, MIRROR, Chains, Finish
@@ -26,6 +27,7 @@ DULL = 0.04  # alpha, from which the picture of a lamp in a lobe has no sharp ou
 LEAST_EXPLAINED = 0.2  # of a group's error by a round lobe: less is not worth a search for a long one
 TURNS = 6  # directions that the search for an anisotropic lobe begins with
 LEAST_PIXELS = 20  # of a group that is seen at once; else its pixels in mirrors
+ALL, BROAD = 0.995, 0.3  # rho_s, and alpha, beyond which no surface has such a lobe
 LOBE_TILES = 260  # that a search over shapes looks at
 
 
@@ -33,7 +35,7 @@ LOBE_TILES = 260  # that a search over shapes looks at
 class Trial:
     """One rung tried for one group. misfit, diffuse : with it and without, on the same tiles
 
-    rho_d, rho_s : (C,);  alpha : (2,);  tangent : (3,)
+    rho_d, rho_s : (C,);  alpha : (2,);  tangent : (3,);  kept : excess that the group may keep, which asks for no rung
     """
 
     rung: str
@@ -44,11 +46,27 @@ class Trial:
     rho_s: np.ndarray
     alpha: np.ndarray = field(default_factory=lambda: np.zeros(2))
     tangent: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    kept: float = 0.0
 
     @property
     def explained(self):
-        """Share of the diffuse error's square that this rung takes away."""
-        return 1 - (self.misfit.excess / max(self.diffuse.excess, 1e-12)) ** 2
+        """Share that this rung takes away of the diffuse error's square, or of what may be kept if that is more."""
+        whole = max(self.diffuse.excess, self.kept, 1e-12)
+        return (self.diffuse.excess**2 - self.misfit.excess**2) / whole**2
+
+    @property
+    def is_at_border(self):
+        """Its lobe is as bright, as wide or as sharp as any may be."""
+        return bool(RUNGS[self.rung].lobe and at_border(self.rho_s, self.alpha))
+
+
+def at_border(rho_s, alpha):
+    """Whether a lobe's shape is one at which searches end: what bends to it is no lobe.
+
+    A sharp one may reflect all light, as metal does.
+    """
+    is_resolved = np.min(alpha) > LOWEST and np.max(alpha) < HIGHEST
+    return not is_resolved or bool(np.max(rho_s) >= ALL and np.min(alpha) > BROAD)
 
 
 class LightSoFar(NamedTuple):
@@ -287,15 +305,15 @@ def _two(x, y, wanted, weight):
     return float(np.clip(xz / max(xx, 1e-300), 0, 1)), 0.0
 
 
-def as_glossy(site: Site, light: LightSoFar, g, threshold, sharp=False):
+def as_glossy(site: Site, light: LightSoFar, g, threshold, kept=0.0, sharp=False):
     """Trials of group g as an isotropic and as an anisotropic lobe; [] where its picture cannot be judged.
 
-    sharp : it shows a patch with a sharp outline, which only a sharp lobe explains
+    kept : of Trial;  sharp : it shows a patch with a sharp outline, which only a sharp lobe explains
     """
     lobe = Lobe(site, light, g)
     if lobe.tiles is None:
         return []
-    search = _ShapeSearch(site, lobe, g)
+    search = _ShapeSearch(site, lobe, g, kept)
     rough = search.roughly()
     if rough.explained < LEAST_EXPLAINED / 2:
         return [rough]
@@ -314,8 +332,8 @@ class _ShapeSearch:
     tried in the end is traced by more.
     """
 
-    def __init__(self, site, lobe, g):
-        self.lobe, self.group, self.found = lobe, g, {}
+    def __init__(self, site, lobe, g, kept):
+        self.lobe, self.group, self.kept, self.found = lobe, g, kept, {}
         facet = site.main_facet(g)
         self.normal, self.x = site.surface.normal[facet], site.surface.axes[facet, 0]
 
@@ -329,7 +347,9 @@ class _ShapeSearch:
     def trial(self, alphas, tangent=None, rays=RAYS) -> Trial:
         found, rung = self.at(alphas, tangent, rays), "glossy" if tangent is None else "anisotropic"
         shape = (np.array(alphas),) if tangent is None else (alphas, tangent)
-        return Trial(rung, self.group, found.misfit, self.lobe.diffuse, found.rho_d, found.rho_s, *shape)
+        return Trial(
+            rung, self.group, found.misfit, self.lobe.diffuse, found.rho_d, found.rho_s, *shape, kept=self.kept
+        )
 
     def roughly(self) -> Trial:
         """The best of ALPHAS, by few rays."""
