@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis import explain, matrix
+from lib.analysis import explain, matrix, responses
 from lib.analysis.candidates import Candidate, enough
 from lib.analysis.evidence import evidence, gain, likelihood
 from lib.analysis.explain import Leave
@@ -180,6 +180,42 @@ def test_sigma_knows_of_colours_in_doubt():
     terms = matrix._cause(plain.result.at, ())
     sure, unsure = (gauss_newton(p).sigma_rho for p in (problem, replace(problem, doubted=terms)))
     assert (unsure >= sure - 1e-12).all() and (unsure > 1.01 * sure).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sigma_knows_what_a_narrow_range_does_not_tell(seed):
+    """sRGB looks like a gamma of 2.24 where all is nearly as bright: white reflectances are off by as much as that."""
+    problem, rho, _ = made(np.array([0.85, 0.8, 0.87, 0.83, 0.82]), gamma=2.0, noise=0, seed=seed)
+    light, n = Transfer("gamma", 2.0).linear(problem.pixels), problem.n_pixels[0]
+    kept = np.flatnonzero(np.abs(light[::n, 0] - 0.55) < 0.1)
+    shown = srgb_from_linear(light.reshape(-1, n, 1)[kept].reshape(-1, 1))
+    problem = replace(
+        problem,
+        G=problem.G[kept],
+        G_plain=problem.G_plain[kept],
+        D_tile=problem.D_tile[kept],
+        tile_group=problem.tile_group[kept],
+        tile_object=problem.tile_object[kept],
+        start=np.arange(len(kept) + 1) * n,
+        pixels=shown + 0.002 * np.random.default_rng(seed).standard_normal(shown.shape),
+    )
+    doubted = replace(problem, doubted=responses.doubted(Candidate.of(problem)))
+    off = lambda result: (np.abs(result.state.rho - rho)[1:] / result.sigma_rho[1:]).max()
+    assert off(gauss_newton(problem)) > 3 > off(gauss_newton(doubted))
+
+
+def test_a_function_that_changes_nothing_to_speak_of_is_not_taken():
+    """90 nats of a curve that bent to the light between shelves by .0006: errors of the light bring as much."""
+
+    def one(nats, complexity, change):
+        evidence = SimpleNamespace(nats=nats, residual=np.full((400, 3), change))
+        found = SimpleNamespace(evidence=evidence, complexity=complexity)
+        found.is_worth = lambda other: nats - other.evidence.nats > 18
+        return found
+
+    simple, bent, other = one(0.0, 1, 0.0), one(90.0, 9, 6e-4), one(90.0, 9, 2e-3)
+    assert responses.simplest([simple, bent]) is simple and responses.unresolved([simple, bent], simple) == 90
+    assert responses.simplest([simple, other]) is other and responses.unresolved([simple, other], simple) == 0
 
 
 def photographed(shown, noise=0.01, seed=1, **more):

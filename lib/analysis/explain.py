@@ -19,7 +19,7 @@ from lib.analysis.facts import USUAL_GAMMA
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import fit
 from lib.analysis.lamp_lobe import LampLobes
-from lib.analysis.problem import Problem, Result
+from lib.analysis.problem import CauseTerms, Problem, Result
 from lib.given.causes import BUILT
 from lib.given.falloff import Lens
 from lib.given.materials import Why
@@ -266,12 +266,18 @@ def _with_free_lamps(found: Explained, leave: Leave):
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:
     """With the causes that the photograph supports beside those of `begun`, [Taken]."""
     best, more, functions = _climbed(begun, leave)
-    problem = replace(best.problem, doubted=matrix.doubted(best) if leave.response else None)
+    problem = replace(best.problem, doubted=_doubted(best) if leave.response else None)
     result, scale = fit(problem, start=best.start, **options)
     result.iterations += best.result.iterations
     return Explained(
         problem, result, scale, _rivals(functions, best), [*taken, *more], best.taken, given, best, leave.lens
     )
+
+
+def _doubted(best: Candidate) -> CauseTerms | None:
+    """What the camera may be as well."""
+    function, mixing = responses.doubted(best), matrix.doubted(best)
+    return function.beside(mixing) if function else mixing
 
 
 def _rivals(functions, best) -> dict:
@@ -311,7 +317,7 @@ def _begun(first: Candidate, leave: Leave) -> Candidate:
 
 def _climbed(best: Candidate, leave: Leave):
     """The best candidate, [Taken] on the way to it, and the candidates with other transfer functions."""
-    taken, functions, tried = [], (), {vignetting.NAME} & best.taken.keys()
+    taken, functions, tried, errors = [], (), {vignetting.NAME} & best.taken.keys(), 0.0
     while wanted := _promising(best, leave, tried):
         promised, most = wanted, max(wanted, key=wanted.get)
         near = {cause for cause, nats in promised.items() if nats >= NEARLY * promised[most]}
@@ -322,6 +328,7 @@ def _climbed(best: Candidate, leave: Leave):
         if "response" in wanted:
             functions = (best, *responses.fitted(best))
             candidates["response"] = _settled(responses.simplest(functions), best, leave) if leave.response else best
+            errors = responses.unresolved(functions, candidates["response"])
         if "vignetting" in wanted:
             shadow = _settled(_vignetted(best, leave), best, leave)
             candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
@@ -330,7 +337,11 @@ def _climbed(best: Candidate, leave: Leave):
             candidates |= {matrix.NAME: mixed} if matrix.is_of_the_camera(mixed, best) else {}
         if glow.NAME in wanted:
             candidates[glow.NAME] = _settled(_in_glow(best), best, leave)
-        better = {cause: c for cause, c in candidates.items() if c is not best and c.beats(best)}
+        better = {
+            cause: c
+            for cause, c in candidates.items()
+            if c is not best and c.beats(best) and c.evidence.nats - best.evidence.nats > errors
+        }
         if not better:
             continue
         cause = max(better, key=lambda cause: better[cause].evidence.nats)
