@@ -417,8 +417,8 @@ def _promises(found: Candidate, leave: Leave, tried=()) -> dict:
 
 
 def _is_one_object(found: Candidate, promise) -> bool:
-    """What is wrong is the reflectance of one object, rather than a cause with such a promise."""
-    return _of_one_object(found) > max(promise, enough(found.problem))
+    """What is wrong is the reflectance of one object, rather than a cause with such a promise: most tiles are right."""
+    return found.typical < HOPELESS and _of_one_object(found) > max(promise, enough(found.problem))
 
 
 def _of_one_object(found: Candidate) -> float:

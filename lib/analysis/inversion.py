@@ -78,13 +78,16 @@ def solve(task: Task, report: Report) -> Answer:
     if task.can_look and (wrong := _told_wrong(task, explained)):
         return _named(task, explained.kept(**options), wrong)
     seen = _answer(explained, *_looked(task, explained)) if task.can_look else None
-    if seen is not None and (why := _something_missing(task, seen, edges)):
+    things = _things_in_doubt(task, seen) if seen is not None else []
+    if things and (why := _something_missing(task, seen, edges, things)):
         return replace(seen, why=why)
-    may_move = may_move and bool(explained.taken or in_doubt(explained.result))
+    # no lamp throws light with an outline
+    is_patch = any(thing.is_sharp and thing.on_plain for thing in things) and not (leave.lobes and leave.lobes.asked)
+    may_move = may_move and not is_patch and bool(explained.taken or in_doubt(explained.result))
     refined = _by_light(task, explained) if may_move else None
     if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
         return _answer(explained, refined=refined, why=refined.why)
-    lobed = explain.with_lobes(explained, leave, **options)
+    lobed = explained if is_patch else explain.with_lobes(explained, leave, **options)
     explained = explained.kept(**options)
     if not task.can_look:
         answer = _answer(explained)
@@ -112,10 +115,15 @@ def solve(task: Task, report: Report) -> Answer:
         for lamp in sorted(task.lobes_unknown - answer.explained.lobes.keys())
     ]
     answer.why = _why(task, answer, edges)
-    if answer.why and answer.climb and not audit.given and not answer.climb.on(*SPECULAR):
-        answer.ascent, found = None, answer.explained  # what is not in the model looks like a texture, too
+    if answer.why and answer.climb and not audit.given and not _is_specular(answer.climb):
+        answer.ascent, found = None, answer.explained
         answer.problem, answer.result, answer.scale = found.problem, found.result, found.scale
     return answer
+
+
+def _is_specular(climb) -> bool:
+    """Mirrors and lobes climbed, no textures: what is not in the model looks like one, and mirrors show it."""
+    return bool(climb.on(*SPECULAR)) and not climb.on("textured")
 
 
 def _suffices(task, explained, in_lobes, lobed) -> bool:
@@ -203,20 +211,23 @@ def _told_wrong(task, explained) -> list:
     return why if settled else []
 
 
-def _something_missing(task, answer, edges) -> list:
-    """[Why], where something stands before several groups that the model has not, and little else is off: no more is
-    looked for then, since all that could be learnt would bend to it."""
-    from lib.analysis import strangers
-
+def _things_in_doubt(task, answer) -> list:
+    """What stands before surfaces that the model has not, the largest first, where that is most of what is off."""
     found = answer.explained
     flagged = answer.audit.flagged(found.problem, answer.judged)
     if not flagged and not in_doubt(found.result):
         return []
-    things = strangers.things(task.view(), task.factors, found, answer.audit)
+    things = _things(task, found, answer.audit)
     behind = {g for thing in things for g in thing.behind}
     energy = lambda groups: sum(answer.judged[g].energy for g in groups if g in answer.judged)
-    if all(thing.alone for thing in things) or energy(behind) < energy(set(flagged) - behind):
-        return []  # a mirror elsewhere may throw such light
+    return things if energy(behind) >= energy(set(flagged) - behind) else []
+
+
+def _something_missing(task, answer, edges, things) -> list:
+    """[Why], where something stands before several groups that the model has not: no more is looked for then, since all
+    that could be learnt would bend to it."""
+    if all(thing.alone for thing in things):
+        return []  # a mirror may throw such light
     why = _why(task, answer, edges, things)
     return why if any(w.cause == "object_missing" for w in why) else []
 
@@ -225,7 +236,7 @@ def _missing(task, explained, audit) -> list:
     """[Why] of things that the model has not: light that they take may pass for a lamp's."""
     from lib.analysis import strangers
 
-    return strangers.said(strangers.things(task.view(), task.factors, explained, audit), explained.problem.groups)
+    return strangers.said(_things(task, explained, audit), explained.problem.groups)
 
 
 def _audit(task, explained) -> Audit:
@@ -318,7 +329,7 @@ def _of_groups(task, explained, audit, judged, report) -> Answer:
         lobe_rays=task.lobe_rays,
         given=audit.given,
         threshold=task.threshold,
-        covered=_covered(task, explained, audit),
+        things=_things(task, explained, audit),
         trace=lambda round, step, fitted: report.trace(
             round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
         ),
@@ -338,12 +349,11 @@ def _of_groups(task, explained, audit, judged, report) -> Answer:
     return answer
 
 
-def _covered(task, explained, audit) -> set:
-    """The groups before which something with a sharp outline stands that the model has not."""
+def _things(task, explained, audit) -> list:
+    """What stands before surfaces that the model has not."""
     from lib.analysis import strangers
 
-    things = strangers.things(task.view(), task.factors, explained, audit)
-    return {g for thing in things if thing.is_sharp for g in thing.behind[:2]}
+    return strangers.things(task.view(), task.factors, explained, audit)
 
 
 def _is_wrong_everywhere(explained, audit, judged):

@@ -38,11 +38,11 @@ FEW, SURE, PROGRESS = 3, 0.8, 0.7
 
 
 def climb(
-    site: Site, result: Result, scale, *, given=None, covered=(), threshold=misfits.THRESHOLD, trace=None, options=None
+    site: Site, result: Result, scale, *, given=None, things=(), threshold=misfits.THRESHOLD, trace=None, options=None
 ) -> Climb:
     """From the diffuse fit to every group's rung.
 
-    given : {group number: kind} from scene.yaml;  covered : groups that show a patch with a sharp outline
+    given : {group number: kind} from scene.yaml;  things : that may stand before groups, of strangers.things
     threshold : display RMSE beyond noise that a group may keep
     trace : called with the round (0 before the first trial), the name of the step and the Result after each fit
     options : of gauss_newton.gauss_newton
@@ -55,7 +55,7 @@ def climb(
         here = fitted(here)
     wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}
     for here.rounds in range(1, MOST_ROUNDS + 1):
-        step = _Step(site, here, wanted, settled, threshold, covered, sure_only=not fits(here.result))
+        step = _Step(site, here, wanted, settled, threshold, things, sure_only=not fits(here.result))
         taken = step.taken()
         if not taken:
             break
@@ -92,13 +92,16 @@ class _Choice(NamedTuple):
 class _Step:
     """One round of the climb: which groups are over, what rungs would explain of them, and which are taken."""
 
-    def __init__(self, site: Site, here: Climb, wanted, settled, threshold, covered=(), sure_only=False):
+    def __init__(self, site: Site, here: Climb, wanted, settled, threshold, things=(), sure_only=False):
         """wanted : {group: kind} that scene.yaml names and that is still to be given;  settled : groups that stay
 
-        covered : groups that show a sharp patch: no dull lobe explains that
+        things : that may stand before groups. Some show a sharp patch, which no dull lobe explains (`covered`), some
+            are plain but for a thing, of which no texture is made (`hidden`)
         sure_only : the picture as a whole disagrees: only what explains nearly all of a group's error is a material
         """
-        self.sure_only, self.covered = sure_only, covered
+        self.sure_only = sure_only
+        self.covered = {g for thing in things if thing.is_sharp for g in thing.behind[:2]}
+        self.hidden = {thing.behind[0] for thing in things if thing.on_plain}
         self.site, self.here, self.wanted, self.settled, self.threshold = site, here, wanted, settled, threshold
         over = {g for g, m in here.misfits.items() if g not in settled and is_over(m, threshold)}
         over -= self._of_several_materials(over)
@@ -235,6 +238,9 @@ class _Step:
             return []
         excess = self.here.misfits[g].excess
         if excess <= 1.5 * self.threshold:
+            return []
+        if g in self.hidden:
+            place.why = f"off by {excess:.4f} beyond noise, but only where something may stand before it"
             return []
         if not self._is_off_inside(g):
             place.why = f"off by {excess:.4f} beyond noise, but only near its edges: it may stand elsewhere"

@@ -44,6 +44,7 @@ class Thing(NamedTuple):
 
     middle : x, y px;  behind : numbers of the groups, the most covered first;  sharp : share of the outline that is
     alone : it stands before one group, whose mirror or texture may show it
+    on_plain : before one facet, which is plain besides: one photograph does not tell it from a texture
     """
 
     pixels: int
@@ -51,6 +52,7 @@ class Thing(NamedTuple):
     behind: list
     sharp: float
     alone: bool
+    on_plain: bool
 
     @property
     def is_sharp(self):
@@ -78,8 +80,7 @@ def _found(picture, factors, several):
         for pixels, mine, middle in picture.spots(level):
             known = any((mine & other).any() for other, _ in found)
             if not known and picture.is_thing(mine, several):
-                behind, sharp = picture.behind(mine), picture.sharpness(mine)
-                found.append((mine, Thing(pixels, tuple(middle), behind, sharp, _is_of_one(picture.of_group[mine]))))
+                found.append((mine, picture.thing(mine, pixels, middle)))
     return found
 
 
@@ -184,7 +185,8 @@ class _Picture:
         if not count.any():
             return False
         most, alone = int(count.argmax()), _is_of_one(self.owner[mine])
-        if alone and self._group_of(most) in self.climbed and not self._is_plain_but_for(mine, most):
+        rung = self.climbed.get(self._group_of(most))
+        if alone and rung and not (rung == "textured" and self._is_plain_but_for(mine, most)):
             return False
         if count.max() > WHOLE * np.count_nonzero(self.owner == most):
             return False  # most of a surface is as strange: its material, or its light
@@ -207,10 +209,17 @@ class _Picture:
     def _group_of(self, facet):
         return self.of_group[self.owner == facet][0]
 
+    def thing(self, mine, pixels, middle) -> Thing:
+        owner = self.owner[mine]
+        most = np.bincount(owner[owner >= 0]).argmax()
+        on_plain = _is_of_one(owner) and self._is_plain_but_for(mine, most)
+        behind, alone = self.behind(mine), _is_of_one(self.of_group[mine])
+        return Thing(pixels, tuple(middle), behind, self.sharpness(mine), alone, on_plain)
+
     def _is_plain_but_for(self, mine, facet):
         """A texture that is one patch on a plain facet may be a thing before it: one photograph does not tell."""
-        on_facet, group = self.owner == facet, self._group_of(facet)
-        if self.given.get(group) or self.climbed[group] != "textured":
+        on_facet = self.owner == facet
+        if self.given.get(self._group_of(facet)):
             return False
         rest = self._drawn(self._strange(), False) & on_facet & ~mine
         return np.count_nonzero(rest) < PLAIN * np.count_nonzero(on_facet)
