@@ -11,12 +11,15 @@ Where a law takes long, `make test-slow` alone runs it.
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from lib.analysis import rungs
+from lib.analysis import ladder, rungs
+from lib.analysis.climbing import Place
 from lib.analysis.misfits import Misfit
+from lib.analysis.strangers import Thing
 from lib.core import stage
 from tests.helpers import rooms
 from tests.helpers.small_scenes import Studio, fit_stage, photograph
@@ -157,6 +160,18 @@ def test_what_a_group_may_keep_asks_for_no_lobe():
     assert lobe.explained == 0 and not lobe.is_at_border
     assert replace(lobe, diffuse=off(0.003)).explained == pytest.approx(0.25)
     assert replace(lobe, diffuse=off(0.02)).explained == 1
+
+
+@pytest.mark.parametrize("on_plain", [True, False])
+def test_of_what_may_be_a_thing_no_texture_is_made(on_plain):
+    """small-483: a crate that the model has not became a texture of the floor, which made a mirror of a table."""
+    thing = Thing(3000, (135, 231), [0, 1], 0.65, alone=True, on_plain=on_plain)
+    misfit = Misfit(0.043, 0.043, 0.002, 91, 31_000)
+    here = SimpleNamespace(misfits={0: misfit}, places={0: Place()}, finish="of others")
+    step = ladder._Step(None, here, {}, {0}, 0.0125, [thing])
+    step._is_off_inside = lambda g: True
+    assert step._texture(0) == ([] if on_plain else [0])
+    assert here.places[0].rung == ("diffuse" if on_plain else "textured")
 
 
 @pytest.mark.parametrize(
