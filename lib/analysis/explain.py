@@ -27,9 +27,13 @@ from lib.given.view import View
 
 LAMPS, OBJECT = "lamps", "object"  # what may be wrong that is no cause: emittances that are told, one reflectance
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
+SAME = 0.01  # gammas that differ by less are of one minimum
 HOPELESS = 0.015  # display, median of the tiles: no other start of gamma explains what is so far off
 NEARLY = 0.5  # of the most that a cause promises, from which another is fitted beside it: .35 were the most in 16 rooms
 STUCK = 0.05  # of what a cause has brought: right ones leave .03, one beside a gamma of 5.6 for 2.2 leaves .17
+ALMOST = (
+    0.5  # of what is enough, from which lamps that are told are set free beside causes: right ones promise .1 at most
+)
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
 
@@ -251,7 +255,10 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
 
 
 def _with_free_lamps(found: Explained, leave: Leave):
-    """(Candidate, [Taken]): the best explanation by lamps of any emittance, and causes where these do not suffice."""
+    """(Candidate, [Taken]): the best explanation by lamps of any emittance, and causes where these do not suffice.
+
+    What was found, where lamps promise nothing beside it.
+    """
     first = Candidate.of(freed(found.given.problem), start=found.given.start)
     least = found.best.evidence.nats - enough(first.problem)
     if len(found.taken) > 1 or first.evidence.nats >= least:
@@ -260,6 +267,8 @@ def _with_free_lamps(found: Explained, leave: Leave):
         simple = responses.under_srgb(first)
         if simple.evidence.nats >= least:
             return simple, []
+    if promise_of_lamps(found.best) < ALMOST * enough(first.problem):
+        return found.best, found.taken
     return Candidate.of(freed(found.best.problem), found.best.taken, start=found.best.start), found.taken
 
 
@@ -311,8 +320,11 @@ def _begun(first: Candidate, leave: Leave) -> Candidate:
         return first
     if _may_glow(first, leave) and first.once(glow.NAME, glow.promise) > promise:
         return first  # no gamma is what is wrong
-    others = [Candidate.of(first.problem, gamma=start) for start in STARTS]
-    return max([first, *others], key=lambda c: c.evidence.nats)
+    from_ends = [Candidate.of(first.problem, gamma=start) for start in (STARTS[0], STARTS[-1])]
+    if np.ptp([c.result.state.gamma for c in (first, *from_ends)]) < SAME:
+        return first
+    others = [Candidate.of(first.problem, gamma=start) for start in STARTS[1:-1]]
+    return max([first, *from_ends, *others], key=lambda c: c.evidence.nats)
 
 
 def _climbed(best: Candidate, leave: Leave):
