@@ -237,13 +237,17 @@ def promises(first: Candidate, leave: Leave) -> dict:
 
 
 def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
-    """Emittances that are told, where causes suffice, but others do so with fewer, or with as many explain more."""
+    """Emittances that are told, where causes suffice, but others do so with fewer, or with as many explain more.
+
+    sRGB counts as none: it has no free number.
+    """
     told, best = found.given.problem, found.best
     if not found.taken or not are_told(told) or not fits(found.result):
         return []
     free, taken = _with_free_lamps(found, leave)
     gain, least = free.evidence.nats - best.evidence.nats, enough(told)
-    if gain < least and (gain < -least or len(taken) >= len(found.taken)):
+    causes = [t for t in found.taken if not (t.cause == "response" and best.kind == "srgb")]
+    if gain < least and (gain < -least or len(taken) >= len(causes)):
         return []
     result, _ = fit(free.problem, start=free.start, **options)
     if not fits(result):
