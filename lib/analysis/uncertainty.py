@@ -19,6 +19,7 @@ from lib.light.balance import reflected
 
 SQUARED_MEDIAN = 0.455  # of a normal variable's square: median(x^2) / 0.455 is a robust variance
 BLED = 0.1  # of JPEG's rounding beside edges that a whole group has in common: its neighbours' colours
+RESPONSE = "response"  # name of the doubt about the transfer function
 LEAST = 0.02  # smaller values are as unsure as this one, relative to it
 
 
@@ -36,8 +37,11 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         common[own, own] = np.outer(delta[own], delta[own])  # the points of a curve move together
         cov = cov + common
         result.shares[cause] = typical
-    if problem.doubted is not None:
-        cov = cov + normal.beside(problem.doubted)
+    function, mixing = _doubted(problem.doubted)
+    if mixing is not None:
+        cov = cov + normal.beside(mixing)
+    if function is not None:  # the tiles' scatter holds what a bend of the function leaves there: the larger counts
+        cov = _at_least(cov, normal.beside(function))
     own = at.layout.responding  # each part of a curve may hang on one group, as causes do
     hangs = slice(own.start if at.state.transfer.kind == "curve" else own.stop, None)
     if hangs.start < at.layout.size:
@@ -53,6 +57,20 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         result.cov_transfer = cov[own, own]
     if at.layout.cause:
         result.cov_cause = cov[own.stop :, own.stop :]
+
+
+def _doubted(terms):
+    """(terms of the transfer function or None, the others or None)"""
+    if terms is None:
+        return None, None
+    return terms.without(tuple({*terms.names} - {RESPONSE})), terms.without((RESPONSE,))
+
+
+def _at_least(cov, other):
+    """The covariance, wider where another one's variances are larger."""
+    size = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+    wider = np.maximum(np.sqrt(np.maximum(np.diag(other), 0)) / size, 1)
+    return cov * np.outer(wider, wider)
 
 
 class _Normal:
