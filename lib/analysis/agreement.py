@@ -12,12 +12,11 @@ import numpy as np
 
 from lib.analysis import glow
 from lib.analysis.candidates import Candidate, enough
-from lib.analysis.equations import Equations, Layout, Unknowns
-from lib.analysis.evidence import evidence, held_out, likelihood, noise_variance
+from lib.analysis.equations import Equations, Unknowns
+from lib.analysis.evidence import evidence, promised
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Problem, Result
-from lib.analysis.transport import TileLight
 from lib.given.materials import Why
 from lib.given.transfer_kinds import OF_PICTURE
 
@@ -113,10 +112,9 @@ def lamps_told(problem, result) -> tuple[list[Why], bool]:
     if not are_told(problem):
         return [], False
     state, nats = result.state, evidence(problem, result.at).nats
-    start = Unknowns(state.rho, state.E, state.transfer)
-    if _freed_by_one_step(problem, start) - nats < enough(problem):
+    if _freed_by_one_step(problem, result.at) - nats < enough(problem):
         return [], False
-    free = Candidate.of(freed(problem), start=start)
+    free = Candidate.of(freed(problem), start=Unknowns(state.rho, state.E, state.transfer))
     gain = free.evidence.nats - nats
     if gain < enough(problem):
         return [], False
@@ -159,16 +157,12 @@ def _lamp(name, ratio, gain, spared):
 
 def promise_of_lamps(found: Candidate) -> float:
     """Nats that one step brings in which the emittances that are told are free."""
-    return _freed_by_one_step(found.problem, found.start) - found.evidence.nats
+    return _freed_by_one_step(found.problem, found.result.at) - found.evidence.nats
 
 
-def _freed_by_one_step(problem, at: Unknowns):
+def _freed_by_one_step(problem, at: Equations):
     """Nats after one step from `at` with free lamps."""
-    free = freed(problem)
-    equations = Equations(free, TileLight(free), Layout.of(free), at)
-    gradient, H = equations.prior()
-    predicted = held_out(free, equations.residual, equations.jacobian, gradient, H)
-    return likelihood(predicted, noise_variance(free, equations)).nats
+    return promised(problem, at, at.by_told_lamps()).nats
 
 
 def _open_model(problem, result):

@@ -181,7 +181,22 @@ class Equations:
     @cached_property
     def patch_derivative(self):
         """db/dtheta of the patches, (N, n) without the transfer and shapes, by one block solve."""
-        layout, state, matrices = self.layout, self.state, self.light.matrices
+        solution = self._patch_derivative(self.layout, self.light.derivative)
+        self.light.derivative = solution
+        return solution
+
+    def by_told_lamps(self):
+        """(T, C, k) derivatives of the display residual by the emittances that are told, for all lamps' channels."""
+        told = np.argwhere(self.problem.own_lamps[:, None] & ~np.isnan(self.problem.emittance))
+        none = np.zeros((0, 2), int)
+        layout = Layout(none, told, none, (), 0, 0, np.full(len(told), np.inf))
+        self.light.at(self.state.rho_s)
+        db = self._patch_derivative(layout)
+        return self.displayed(_tile_derivative(self.problem, self.light, layout, self.state, db))
+
+    def _patch_derivative(self, layout, x0=None):
+        """db/dtheta (N, n) of the parameters of a layout."""
+        state, matrices = self.state, self.light.matrices
         n, m = len(layout.rho), len(layout.rho) + len(layout.E)
         channel = layout.channel
         scale = state.rho[self.problem.patch_group].astype(np.float32)
@@ -194,11 +209,7 @@ class Equations:
             slope, _ = matrices.slopes(s, c)
             rhs[:, m + k] = scale[:, c] * (product(slope["D"], state.E[:, c]) + product(slope["F"], state.b[:, c]))
         # the exact residual decides where the iteration ends; its derivative only how fast
-        solution = reflected(
-            matrices.F, scale[:, channel], rhs, tolerance=3e-3, x0=self.light.derivative, channel=channel
-        )
-        self.light.derivative = solution.b
-        return solution.b
+        return reflected(matrices.F, scale[:, channel], rhs, tolerance=3e-3, x0=x0, channel=channel).b
 
     @cached_property
     def jacobian(self):

@@ -35,13 +35,12 @@ def is_dark(problem: Problem) -> bool:
 def unsure(view: View, factors: FormFactors, found: Gathered) -> list:
     """[(dD, dD_tile)] by which the light from outside is unsure, since what was left out is no polynomial."""
     around, tiles = factors.outside, found.tiles
-    if around is None:
-        return []
     surface = surfaces.surface(view.model, factors.lamps)
     p, side = surfaces.backproject(surface, view.camera, np.repeat(tiles.facet, np.diff(tiles.start)), tiles.pixel)
     to_patches = form_factors.from_patches(surface, factors.mesh, outside.RAYS, seed=3)
     to_tiles = form_factors.from_points(surface, p, tiles.start, side[tiles.start[:-1]], tiles.rows.shot, seed=15)
-    there, seen = (outside.sums(surface, *way, around.beyond) for way in (to_patches, to_tiles))
+    leaving = [outside.Leaving.of(surface, around, *way) for way in (to_patches, to_tiles)]
+    there, seen = (rays.sums(around.beyond(rays.q)) for rays in leaving)
     D, D_tile = factors.lamp_factor[:, around.first], tiles.direct[:, around.first]
     mean, changes = seen.sum(axis=0) / max(D_tile.sum(), 1e-12), []
     for k in range(there.shape[1]):

@@ -68,7 +68,7 @@ def solve(task: Task, report: Report) -> Answer:
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
         if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
             return answer
-    problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
+    problem = task.problem if edges is None else replace(task.problem, **_unsure(task, edges))
     leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
     first = explain.started(problem, leave, task.gamma, trace)
     may_move = may_refine and "lamp_place" in task.allowed and not edges.why
@@ -266,12 +266,14 @@ def _edges(task):
 
 
 def _unsure(task, edges):
-    """By what the lamps' light is unsure, since things stand no more surely than the edges tell."""
+    """By what the lamps' light is unsure, since things stand no more surely than the edges tell; and light from
+    outside, which no one has measured."""
     from lib.analysis import refine
 
     loose = edges.registration.loose if edges.registration else {}
     lamps = refine.unsure(task.view(), task.factors, task.found, task.refined, loose)
-    return (*lamps, *glow.unsure(task.view(), task.factors, task.found))
+    from_outside = functools.cache(lambda: glow.unsure(task.view(), task.factors, task.found))
+    return {"unsure": tuple(lamps), "unsure_outside": None if task.factors.outside is None else from_outside}
 
 
 def _by_edges(task, edges):

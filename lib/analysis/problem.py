@@ -217,6 +217,7 @@ class Problem:
     block_noise : display, of blocks of pixels (JPEG);  edge_noise : (T,) of a pixel of each tile, beside edges, or None
     colour_noise : (C,) display, that all tiles of one colour have in common, or None
     unsure : ((dD, dD_tile), ...) changes of the lamps' light by one standard deviation of where things stand
+    unsure_outside : () -> the same, of what comes in from outside an open model; asked only where something does
     spread_E : (L, C) standard deviation of emittances before anything is seen, which may be negative then; inf: any
     noisy : tiles are medians, see Photograph.noisy
     """
@@ -249,6 +250,7 @@ class Problem:
     edge_noise: np.ndarray | None = None
     colour_noise: np.ndarray | None = None
     unsure: tuple = ()
+    unsure_outside: Any = None
     spread_E: np.ndarray | None = None
     noisy: bool = False
 

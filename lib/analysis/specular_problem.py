@@ -68,6 +68,7 @@ def assemble(
         variance=unknown.variance[t.group][:, None],
         edge_noise=None,
         unsure=(),
+        unsure_outside=None,
         doubted=None,
     )
 

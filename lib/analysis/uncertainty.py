@@ -182,7 +182,8 @@ def _common_errors(problem, at, normal):
             found[f"blocks {problem.groups[g]}"] = normal.push_shown(off)
     for name, off in _colours(problem):
         found[name] = normal.push_shown(off)
-    for k, (dD, dD_tile) in enumerate(problem.unsure):
+    comes_in = problem.unsure_outside is not None and state.E[~problem.own_lamps].any()
+    for k, (dD, dD_tile) in enumerate([*problem.unsure, *(problem.unsure_outside() if comes_in else ())]):
         dB = dD_tile @ state.E
         if dD is not None:
             rho = state.rho[problem.patch_group]

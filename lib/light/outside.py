@@ -42,29 +42,47 @@ class Outside:
 
     def seen(self, rays):
         """(n, 10) of each of its lamps, what rays (n, 6) that leave find at an emittance of 1."""
-        x, y, z = (self.at(rays) - self.middle).T
-        return np.column_stack([np.ones(len(rays)), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x])
+        return np.column_stack([np.ones(len(rays)), self.uneven(self.at(rays))])
 
-    def beyond(self, rays):
-        """(n, 9) how far from the middle rays (n, 6) leave, by products of three axes: what its lamps do not know."""
-        q = (self.at(rays) - self.middle).T
+    def uneven(self, q):
+        """(n, 9) of its lamps but the even one, where rays leave it at q (n, 3)."""
+        x, y, z = (q - self.middle).T
+        return np.column_stack([x, y, z, x * x, y * y, z * z, x * y, y * z, z * x])
+
+    def beyond(self, q):
+        """(n, 9) how far from the middle rays leave at q (n, 3), by products of three axes: what its lamps do not
+        know."""
+        q = (q - self.middle).T
         return np.column_stack([a * a * b for a in q for b in q])
 
-    def factors(self, surface: Surface, rows: FormFactorRows, ray_start, make):
-        """(R, 10) of places. rows : of the places;  ray_start, make : of form_factors.from_patches, from_points"""
-        return np.column_stack([openings(rows), sums(surface, ray_start, make, lambda rays: self.seen(rays)[:, 1:])])
 
+@dataclass(frozen=True, eq=False)
+class Leaving:
+    """The rays of R places that leave an open model.
 
-def sums(surface: Surface, ray_start, make, value):
-    """(R, k) sums over shares of the rays that leave. value : rays (n, 6) -> (n, k)"""
-    parts, n_rays = [], np.diff(ray_start)
-    for first, last in chunks(ray_start):
-        rays = make(first, last)
-        gone = np.flatnonzero(surface.caster.closest(rays)[0] < 0)
-        place, found = np.repeat(np.arange(last - first), n_rays[first:last])[gone], value(rays[gone])
-        weight = 1 / n_rays[first:last][place]
-        parts.append(np.stack([np.bincount(place, v * weight, last - first) for v in found.T], axis=1))
-    return np.concatenate(parts) if parts else np.zeros((0, 3))
+    place : (n,) of each;  q : (n, 3) where, of Outside.at;  share : (n,) of its place's rays;  n_places : R
+    """
+
+    place: np.ndarray
+    q: np.ndarray
+    share: np.ndarray
+    n_places: int
+
+    @classmethod
+    def of(cls, surface: Surface, box: Outside, ray_start, make) -> Leaving:
+        """ray_start, make : of form_factors.from_patches, from_points"""
+        place, q, n_rays = [np.zeros(0, int)], [np.zeros((0, 3))], np.diff(ray_start)
+        for first, last in chunks(ray_start):
+            rays = make(first, last)
+            gone = np.flatnonzero(surface.caster.closest(rays)[0] < 0)
+            place.append(np.repeat(np.arange(first, last), n_rays[first:last])[gone])
+            q.append(box.at(rays[gone]))
+        place = np.concatenate(place)
+        return cls(place, np.concatenate(q), 1 / n_rays[place], len(n_rays))
+
+    def sums(self, values):
+        """(R, k) over the rays of each place, of values (n, k)."""
+        return np.stack([np.bincount(self.place, v * self.share, self.n_places) for v in values.T], axis=1)
 
 
 def openings(rows: FormFactorRows, half=None) -> np.ndarray:
@@ -109,9 +127,11 @@ def with_outside(factors: FormFactors, surface) -> FormFactors:
     box = Outside(len(factors.lamps), corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN, np.zeros(3))
     ways = from_patches(surface, factors.mesh, RAYS, seed=3)
     lit, area = share > 0, factors.area
-    where = sums(surface, *ways, box.at)
+    leaving = Leaving.of(surface, box, *ways)
+    where = leaving.sums(leaving.q)
     box = replace(box, middle=(area * lit) @ where / max(float((area * share).sum()), 1e-300))
-    D = np.where(lit[:, None], box.factors(surface, factors.rows, *ways), 0.0)
+    D = np.column_stack([openings(factors.rows), leaving.sums(box.uneven(leaving.q))])
+    D = np.where(lit[:, None], D, 0.0)
     return replace(
         factors, lamps=(*factors.lamps, *OUTSIDE), lamp_factor=np.hstack([factors.lamp_factor, D]), outside=box
     )
@@ -124,7 +144,9 @@ def of_points(factors: FormFactors, surface: Surface, points, start, side, rows:
     """
     if factors.outside is None:
         return np.zeros((len(side), 0))
-    return factors.outside.factors(surface, rows, *from_points(surface, points, start, side, 2 * rows.shot, seed=15))
+    around, ways = factors.outside, from_points(surface, points, start, side, 2 * rows.shot, seed=15)
+    leaving = Leaving.of(surface, around, *ways)
+    return np.column_stack([openings(rows), leaving.sums(around.uneven(leaving.q))])
 
 
 def without_outside(E, lamps):

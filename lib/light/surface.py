@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from lib.given.rays_kernels import OFFSET
 from lib.light import surface_kernels as kernels
 from lib.light.surface_kernels import SurfaceArrays
 
+_kept = deque(maxlen=2)
 RAY_OUT = np.array([0.5377, 0.6339, 0.5560])  # no axis, no diagonal
 
 
@@ -50,14 +52,27 @@ class Surface:
 
 
 def surface(model, lamps=()) -> Surface:
-    """Facet frames, solids and ray casters. lamps: names of the groups that emit."""
+    """Facet frames, solids and ray casters. lamps: names of the groups that emit.
+
+    The last few are kept: several steps of a stage ask for the same.
+    """
+    lamps = tuple(name for name in lamps if name in model.groups)
+    for of, names, kept in _kept:
+        if of is model and names == lamps:
+            return kept
+    made = _surface(model, lamps)
+    _kept.append((model, lamps, made))
+    return made
+
+
+def _surface(model, lamps) -> Surface:
     local = Local.of(model)
     corners = local.points(model.vertices)[model.triangles]
     facet = np.array(model.triangle_facet, np.int32)  # copies: kernels would be compiled again for read-only arrays
     normal = np.array(model.facet_normal, float)
     can = ray_tools.occluders(corners, facet)
     group, thing = np.array(model.facet_group, np.int32), np.array(model.facet_object, np.int32)
-    lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps if g in model.groups])
+    lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps])
     faces = [(lid.object, local.points(lid.corners)) for lid in model.lids.faces]
     inside = _inside(model, faces, corners, facet, normal, lamp_facet)
     solids = np.unique(thing[inside[0::2] | inside[1::2]])
