@@ -15,13 +15,10 @@ The methods, from the paper's list: `jacobi` and `gauss_seidel` gather, `southwe
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
-
-os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
 
 import numpy as np
 
