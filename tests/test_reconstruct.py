@@ -638,3 +638,44 @@ def test_stage_traces_pairs_that_give_no_plane(run, pair_files, tmp_path):
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["status"] == "nothing reconstructed" and len(report["trace"]) == 5
     assert report["trace"][-1]["planes"] == 0 and report["trace"][-1]["borders_apart_px"] is None
+
+
+def held_by(part, uv, normal):
+    """Measured of border points (n, 2) on sides (n,), their normals (n, 2), each placed to .02 px."""
+    rows = np.zeros((len(part), kernels.COLUMNS))
+    rows[:, 0], rows[:, 1], rows[:, 2] = -(normal[:, :1] * np.column_stack([uv, np.ones(len(uv))])).T / 0.02
+    rows[:, kernels.PART], rows[:, kernels.SIGMA], rows[:, kernels.WEIGHT] = part, 0.02, 1
+    rows[:, kernels.U], rows[:, kernels.V] = uv.T
+    return contours._normal_equations(np.zeros(3), np.zeros(2), 40.0, rows, int(part.max()) + 1)
+
+
+def test_one_line_holds_no_plane():
+    """A wall's upper border in three pieces: 374, 16 and 52 points that lie within .1 px of a line told a ceiling."""
+    random = np.random.default_rng(0)
+    t, part = random.uniform(0, 500, 442), np.repeat([0, 1, 2], [374, 16, 52])
+    normal = np.tile([-0.43, 0.9], (442, 1))
+    line = np.column_stack([t, 0.48 * t + random.normal(0, 0.1, 442)])
+    assert uncertainty.in_one_line(held_by(part, line, normal))
+    assert not uncertainty.in_one_line(held_by(part, line + [0, 60] * (part == 2)[:, None], normal))
+
+
+def test_sides_of_a_hole_hold_no_plane():
+    """A lamp before a ceiling: its four sides tell where the lamp is. Beside the ceiling's own they may count."""
+    part, t = np.repeat(np.arange(8), 40), np.tile(np.linspace(-1, 1, 40), 8)
+    reach = np.where(part < 4, 30, 100)[:, None]
+    normal = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])[part % 4]
+    x = held_by(part, reach * (normal + t[:, None] * normal[:, ::-1]), normal)
+    lamp = held_by(part[:160], x.rows[:160, [kernels.U, kernels.V]], normal[:160])
+    assert uncertainty.rests_on_holes(lamp, np.ones(4, bool))
+    assert not uncertainty.rests_on_holes(x, np.arange(8) < 4)
+    assert not uncertainty.rests_on_holes(x, np.zeros(8, bool))
+
+
+def test_sides_of_holes_are_told():
+    labels = np.ones((60, 80), int)
+    labels[20:40, 30:50] = 2
+    labels[:, 70:] = 3
+    hole = contours.in_holes(labels, 1)
+    assert hole.any() and not hole.all() and not contours.in_holes(labels, 2).any()
+    q = np.array([[29.5, 30.0], [69.5, 30.0]])
+    assert hole[contours.parts(labels, 1, q)].tolist() == [True, False]

@@ -18,14 +18,7 @@ def parts(labels, label: int, q) -> np.ndarray:
 
     Sides are straight to 1.5 px.
     """
-    import cv2
-
-    y, x = np.nonzero(labels == label)
-    y0, x0 = y.min() - 1, x.min() - 1
-    mask = np.zeros((y.max() - y0 + 2, x.max() - x0 + 2), np.uint8)
-    mask[y - y0, x - x0] = 1
-    contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    rings = [cv2.approxPolyDP(c, 1.5, True)[:, 0] + [x0, y0] for c in contours]
+    rings, _ = _rings(labels, label)
     start = np.concatenate(rings).astype(float)
     end = np.concatenate([np.roll(r, -1, 0) for r in rings]).astype(float)
     along = end - start
@@ -36,6 +29,24 @@ def parts(labels, label: int, q) -> np.ndarray:
         t = np.clip((to * along).sum(axis=2) / length2, 0, 1)
         part[first : first + 2000] = ((to - t[..., None] * along) ** 2).sum(axis=2).argmin(axis=1)
     return part
+
+
+def in_holes(labels, label: int) -> np.ndarray:
+    """(P,) bool of the sides that `parts` counts: it is of a hole, and most likely of what stands before the region."""
+    rings, is_hole = _rings(labels, label)
+    return np.repeat(is_hole, [len(ring) for ring in rings])
+
+
+def _rings(labels, label):
+    """[(k, 2) corners, px] of the region's outline and of its holes, (R,) bool which of them are holes."""
+    import cv2
+
+    y, x = np.nonzero(labels == label)
+    y0, x0 = y.min() - 1, x.min() - 1
+    mask = np.zeros((y.max() - y0 + 2, x.max() - x0 + 2), np.uint8)
+    mask[y - y0, x - x0] = 1
+    contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    return [cv2.approxPolyDP(c, 1.5, True)[:, 0] + [x0, y0] for c in contours], tree[0][:, 3] >= 0
 
 
 def _own_parts(rows, n_parts, size):

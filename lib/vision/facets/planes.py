@@ -22,7 +22,7 @@ import numpy as np
 from lib.vision import matching
 from lib.vision.facets import uncertainty
 from lib.vision.facets.borders import Borders, borders, noise
-from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, parts
+from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, in_holes, parts
 from lib.vision.facets.intensities import smoothed_levels, texture_plane
 from lib.vision.facets.outlines import outline
 from lib.vision.facets.sides import MOST_SLOPE, lines
@@ -260,11 +260,15 @@ def _fit_texture(sight, fit, level):
 def _facet(sight, l, r, x, sigma_side):
     """Facet, or why not."""
     pair, (u0, v0), unit = sight.pair, x.uv0, np.array([x.size, x.size, 1])
+    if uncertainty.in_one_line(x):
+        return "condition: its borders run in one line"
+    if uncertainty.rests_on_holes(x, in_holes(sight.views[0].labels, l)):
+        return "condition: held by what stands before it alone"
     equations = uncertainty.with_sides(x, sigma_side)
     A, b = equations.A, equations.b
     w, V = np.linalg.eigh(A)
     if not w[0] > 1e-9 * w[2]:
-        return "condition: its borders run along the epipolar lines, or in one line"
+        return "condition: its borders run along the epipolar lines"
     inverse = (V / w) @ V.T
     step = -inverse @ b
     plane = x.plane + step / unit

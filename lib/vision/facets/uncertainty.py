@@ -15,6 +15,8 @@ from lib.vision.facets.contours_kernels import PART, RESIDUAL, SIGMA, WEIGHT, U,
 MISFIT = 1.2  # times the ordinary rms of the pair's borders: what lies farther apart is not one plane's
 CHI2_95 = 7.81  # of 3 degrees of freedom
 SIDE_SIGMAS = np.array([0, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])  # px, tried
+LINE = 1.5  # px, standard deviation of border points across the line that they lie in
+RESTS = 5.0  # times less certain without the sides of holes: the plane rests on them
 ESSENTIAL = 0.9  # share of what is known in some direction that is one side's, at most: the plane rests on it
 
 
@@ -123,6 +125,28 @@ def held_by_sides(x: Measured, sigma_side: float, covariance, step) -> np.ndarra
         spread += np.outer(kept, kept)
     wider, axes = np.linalg.eigh(spread)
     return root @ (axes * np.maximum(wider, 1)) @ axes.T @ root
+
+
+def in_one_line(x: Measured) -> bool:
+    """The border points that tell the plane lie in one line, and nothing else tells it: it may turn about that."""
+    if x.texture is not None or len(x.rows) < 3:
+        return x.texture is None
+    across = np.linalg.eigvalsh(np.cov(x.rows[:, [U, V]].T))[0]
+    return bool(across < LINE**2)
+
+
+def rests_on_holes(x: Measured, hole) -> bool:
+    """The plane hangs on the sides of holes, which are of what stands before the region: a lamp before a ceiling.
+
+    hole : (P,) bool of the sides, see contours.in_holes
+    """
+    of_hole = hole[x.rows[:, PART].astype(int)]
+    if not of_hole.any():
+        return False
+    J, w = x.rows[:, :3] / [x.size, x.size, 1], x.rows[:, WEIGHT]
+    least = 1e-9 * np.eye(3) + (x.texture[1] if x.texture is not None else 0)
+    unsure = lambda some: np.linalg.eigvalsh((J[some] * w[some, None]).T @ J[some] + least)[0] ** -0.5
+    return bool(unsure(~of_hole) > RESTS * unsure(np.ones(len(w), bool)))
 
 
 def _of_each_side(x: Measured, sigma_side: float, step):
