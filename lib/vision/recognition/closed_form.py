@@ -117,7 +117,7 @@ def moved(T, step):
     return matrix_from_rt(np.asarray(step[:6], float)) @ T
 
 
-def _explained(seen, db, T, q, share=0.55):
+def explained(seen, db, T, q, share=0.55):
     """What the camera would see: (matches (n, 2), fraction (N,)).
 
     A scene facet is explained where the rays through its region meet the model at the depth that its plane has, within
@@ -179,7 +179,7 @@ def polish(seen, db, weight, T, q, pairs, scale_free):
     T, q = (linear, q_linear) if _well_posed(db, pairs) else (T, q)
     for _ in range(3):
         T, q, _, _ = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
-        matches, fraction = _explained(seen, db, T, q)
+        matches, fraction = explained(seen, db, T, q)
         if len(matches) < 2:
             return None
         same = len(matches) == len(pairs) and (matches == pairs).all()
@@ -193,7 +193,7 @@ def polish(seen, db, weight, T, q, pairs, scale_free):
     if not good.all():
         pairs = pairs[good]
         T, q, H, chi2 = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
-        fraction = _explained(seen, db, T, q)[1]
+        fraction = explained(seen, db, T, q)[1]
         keep = (chi2 < GATE) & (fraction[pairs[:, 0]] >= 0.5)
         pairs, chi2 = pairs[keep], chi2[keep]
         if len(pairs) < 2:
