@@ -91,10 +91,11 @@ def main(opt):
         zero = [
             now - past for now, past in zip((time.process_time(), time.perf_counter()), report.clocks(), strict=True)
         ]
-        found, result, why = answer.answer(
+        found, result, denied, why = answer.answer(
             scene, model, sides, timing=report.timing, method=opt.method, lens_px=lens_px
         )
         report["search"], report["evidence_nats"] = found.counts, [pose.score for pose in found.poses]
+        report["facets_denied"] = list(denied)
         if why:
             raise stage.BadInput(f"{opt.facets}: facets: {why}")
         tell(report, opt, found, result, zero)
