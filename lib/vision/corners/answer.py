@@ -27,8 +27,8 @@ MOST_DENIED, MOST_DENIED_PROVED = (
     0.5,
 )  # of the facets that say yes or no; right poses: up to .22 in 71 random pairs
 PLACED = 0.006  # rad, and parts of the depth: one sigma of a pose by corners
-RIVALS = 2  # poses by planes that are judged beside those by corners
-JUDGED = 6  # poses by corners that the photographs judge
+RIVALS = 1  # poses by planes that are judged beside those by corners
+JUDGED = 4  # poses by corners that the photographs judge
 
 
 class Judged(NamedTuple):
