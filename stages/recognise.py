@@ -72,9 +72,8 @@ def main(opt):
             from lib.core import artefact
             from lib.given import model as models
             from lib.vision import facets_file
+            from lib.vision.corners import answer
             from lib.vision.recognition import recognise as recognition
-            from lib.vision.refinement import pose as refinement
-            from lib.vision.refinement import words
         with report.excluded("compile"):
             recognition.warm_up()
         with report.timing("read"):
@@ -89,18 +88,16 @@ def main(opt):
             )
         lens_px = known_px(opt.lens_px, calibration)
 
-        with report.timing("recognise"):
-            found = recognition.recognise(scene, model, sides[0].camera)
-        report["search"], report["evidence_nats"] = found.counts, [pose.score for pose in found.poses]
-        if found.status == "not recognised":
-            raise stage.BadInput(f"{opt.facets}: facets: {found.why}")
         zero = [
             now - past for now, past in zip((time.process_time(), time.perf_counter()), report.clocks(), strict=True)
         ]
-        with report.timing("refine"):
-            result = refinement.refine(model, sides, found, scene.labels, method=opt.method, lens_px=lens_px)
-        if result.status == "not recognised":
-            raise stage.BadInput(f"{opt.facets}: facets: {words.refusal(found, result)}")
+        found, result, denied, why = answer.answer(
+            scene, model, sides, timing=report.timing, method=opt.method, lens_px=lens_px
+        )
+        report["search"], report["evidence_nats"] = found.counts, [pose.score for pose in found.poses]
+        report["facets_denied"] = list(denied)
+        if why:
+            raise stage.BadInput(f"{opt.facets}: facets: {why}")
         tell(report, opt, found, result, zero)
         write(opt, scene, found, result)
 

@@ -441,7 +441,10 @@ def test_refusals_are_one_line(refuses, chain, tmp_path, files_under):
         assert len(lines) == 1 and not files_under(tmp_path)
         return lines[0]
 
-    assert "at least 3" in refused(content | {"facets": content["facets"][:1]})
+    blank = folder / "blank.png"
+    image.write_png8(blank, np.full(image.read_photograph(folder / "left.png").values.shape, 90))
+    nothing = {"photograph": "blank.png", "photograph-right": "blank.png"}
+    assert "at least 3" in refused(content | {"facets": content["facets"][:1]}, **nothing)
     assert "unit: 'foot'" in refused(content | {"unit": "foot"})
     assert "orientation is missing" in refused(content | {"unit": "baseline"})
     first = content["facets"][0]

@@ -42,12 +42,14 @@ def _settle(view, candidates, v, rank):
     """
     best = np.clip(np.einsum("ij,ij->i", view.slope[rank], v), view.low[rank], view.high[rank])
     winner = rank.copy()
-    for t in np.sort(candidates):
+    candidates = np.sort(candidates)
+    p = view.p[candidates]
+    past = np.cross(p, np.roll(p, -1, axis=1))  # v . (a x b): on which side of the edge ab the ray passes
+    across = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    past *= np.sign(np.einsum("ti,ti->t", view.slope[candidates], across))[:, None, None]
+    for t, edges in zip(candidates, past, strict=True):
         of = np.flatnonzero(winner < t)
-        a, b, c = view.p[t]
-        turn = np.sign(view.slope[t] @ np.cross(b - a, c - a))
-        for corner, following in ((a, b), (b, c), (c, a)):  # v . (a x b): on which side of the edge ab the ray passes
-            of = of[v[of] @ np.cross(corner, following) * turn >= 0]
+        of = of[(v[of] @ edges.T >= 0).all(axis=1)]
         inverse = np.clip(v[of] @ view.slope[t], view.low[t], view.high[t])
         tied = inverse >= best[of] - TIE * (np.abs(v[of]) @ np.abs(view.slope[t]) + best[of])
         winner[of[tied]] = t

@@ -1,4 +1,4 @@
-"""Error against CPU time of recognise: the refinement's methods, and the search against the size of the model.
+"""Error against CPU time of recognise: the refinement's methods, the search against the size of the model, corners.
 
 $ python -m tests.bench.recognise_curves OUT/          recognise.csv, recognise.png
 """
@@ -47,7 +47,7 @@ def refinement_curves(log):
                 shown + 1,
             )
         )
-    large = np.array([f for f in facets if (sides[0].regions == f + 1).sum() > 1500])
+    large = np.array([f for f in facets if (sides[0].surfaces == f + 1).sum() > 1500])
     matches, labels = np.column_stack([np.arange(len(large)), large]), np.column_stack([large + 1, large + 1])
     rows = []
     for method in ("edges", "paper"):
@@ -116,8 +116,48 @@ def search_curves(log, seeds=8):
     return rows
 
 
+def corner_curves(log, seeds=12, most=(30, 100, 300, 1000, 3000, 37_000)):
+    """Objects before texture of which three facets are known: share where the best pose by lines is the true one.
+
+    The knob is how many poses are ranked. Times are those of the hypotheses alone; errors are medians of right poses.
+    """
+    from unittest.mock import patch
+
+    from lib.vision.corners import hypotheses
+    from lib.vision.facets_file import SceneFacets
+    from tests.helpers import facet_trials as trials
+    from tests.helpers import objects
+
+    hypotheses.warm_up()
+    pairs, rows = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(seeds):
+            pair = objects.object_pair(300 + seed, Path(folder))
+            random = np.random.default_rng(seed)
+            facets, truth = trials.facets_seen(random, pair.full, pair.posed, spurious=0.3, partial=False)
+            own = [i for i, f in enumerate(truth) if f >= 0 and pair.full.facet_object[f] < len(pair.given.objects)][:3]
+            polygons = [facets.polygons[i] for i in own]
+            pairs.append((SceneFacets(facets.m[own], facets.covariance[own], polygons, facets.labels[own]), pair))
+    for number in most:
+        spent, errors = [], []
+        for scene, pair in pairs:
+            begin = time.process_time()
+            with patch.object(hypotheses, "MOST", number):
+                found = hypotheses.hypotheses(scene, pair.given, pair.sides)
+            spent.append(time.process_time() - begin)
+            if len(found.T):
+                turn, move = trials.pose_error(found.T[0], pair.posed, 1.0)
+                if turn < 3 and move < 0.1:
+                    errors.append((turn, move))
+        turn, move = np.median(errors, axis=0) if errors else (np.nan, np.nan)
+        share = len(errors) / len(pairs)
+        rows.append(("corners", "objects", "lines", number, "", float(np.mean(spent)), turn, 1000 * move, share))
+        log(*rows[-1])
+    return rows
+
+
 def plot(rows, axes):
-    """Left: the refinement; right: the search."""
+    """Left: the refinement; middle: the search; right: corners."""
     style = {"edges": "C0", "paper": "C3"}
     for method, colour in style.items():
         for seed in sorted({r[3] for r in rows if r[0] == "refine"}):
@@ -136,6 +176,9 @@ def plot(rows, axes):
         points = [r for r in rows if r[0] == "search" and r[2] == unit]
         axes[1].loglog([r[3] for r in points], [r[5] for r in points], line, label=f"unit: {unit}")
     axes[1].set(title="search, half of the facets spurious", xlabel="facets of the model", ylabel="CPU s")
+    points = [r for r in rows if r[0] == "corners"]
+    axes[2].semilogx([r[5] for r in points], [r[8] for r in points], "-o", label="30 to 37,000 poses ranked")
+    axes[2].set(title="corners, three facets of an object", xlabel="CPU s", ylabel="share with the true pose first")
 
 
 def curves(out_folder, log=print):
@@ -145,12 +188,12 @@ def curves(out_folder, log=print):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    rows = refinement_curves(log) + search_curves(log)
+    rows = refinement_curves(log) + search_curves(log) + corner_curves(log)
     out = Path(out_folder)
     out.mkdir(parents=True, exist_ok=True)
     with open(out / "recognise.csv", "w", newline="") as file:
         csv.writer(file).writerows([HEAD, *rows])
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2))
+    figure, axes = plt.subplots(1, 3, figsize=(16, 4.2))
     plot(rows, axes)
     for ax in axes:
         ax.grid(True, which="both", lw=0.3)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -117,16 +118,51 @@ def moved(T, step):
     return matrix_from_rt(np.asarray(step[:6], float)) @ T
 
 
-def _explained(seen, db, T, q, share=0.55):
+def explained(seen, db, T, q, share=0.55):
     """What the camera would see: (matches (n, 2), fraction (N,)).
 
     A scene facet is explained where the rays through its region meet the model at the depth that its plane has, within
     3.5 sigma; the facet met most often is its match.
     """
+    rays = _looked(seen, db, T, q)
+    fraction = rays.share_of(rays.agrees)
+    matches = []
+    for i in np.flatnonzero(fraction >= share):
+        matches.append((i, np.bincount(rays.facet[(rays.owner == i) & rays.agrees]).argmax()))
+    return np.array(matches, int).reshape(-1, 2), fraction
+
+
+def contradicted(seen, db, T, q, share=0.55):
+    """(N,) bool: which scene facets lie where they cannot lie if the model is all there is.
+
+    Through most of its region the model is met, but elsewhere: before or behind the facet by more than 3.5 sigma, and
+    by more than a fiftieth of the depth. What lies beside the model contradicts nothing.
+    """
+    rays = _looked(seen, db, T, q)
+    return rays.share_of(rays.denies) >= share
+
+
+class _Looked(NamedTuple):
+    """What R rays through the scene's facets meet: whose each is, the facet of the model, the verdicts."""
+
+    number: np.ndarray  # (N,) rays of each scene facet
+    owner: np.ndarray
+    facet: np.ndarray
+    agrees: np.ndarray
+    denies: np.ndarray
+
+    def share_of(self, which):
+        """(N,) share of each scene facet's rays."""
+        return np.bincount(self.owner, which, len(self.number)) / np.maximum(self.number, 1)
+
+
+def _looked(seen, db, T, q) -> _Looked:
+    """The rays through all regions, as the camera at T (4, 4) would look along them."""
     R, centre = T[:3, :3], -T[:3, :3].T @ T[:3, 3]
-    count = np.array([len(v) for v in seen.v])
+    count = np.array([len(v) for v in seen.v], int)
     if count.sum() == 0:
-        return np.zeros((0, 2), int), np.zeros(len(count))
+        none = np.zeros(0, int)
+        return _Looked(count, none, none, none.astype(bool), none.astype(bool))
     v = np.concatenate(seen.v)
     v_world = v @ R
     length = np.linalg.norm(v_world, axis=1)
@@ -144,12 +180,9 @@ def _explained(seen, db, T, q, share=0.55):
     owner = np.repeat(np.arange(len(count)), count)
     cosine = np.abs(np.einsum("ij,ij->i", db.axes[facet, 0], seen.n[owner] @ R))
     aligned = cosine > np.cos(np.minimum(3.5 * seen.angle + 0.02, 0.7))[owner]
-    good = hit & (np.abs(inverse - expected) < 3.5 * sigma + 0.002 * expected) & (turned | db.twosided[facet]) & aligned
-    fraction = np.bincount(owner, good, len(count)) / np.maximum(count, 1)
-    matches = []
-    for i in np.flatnonzero(fraction >= share):
-        matches.append((i, np.bincount(facet[(owner == i) & good]).argmax()))
-    return np.array(matches, int).reshape(-1, 2), fraction
+    off = np.abs(inverse - expected)
+    agrees = hit & (off < 3.5 * sigma + 0.002 * expected) & (turned | db.twosided[facet]) & aligned
+    return _Looked(count, owner, facet, agrees, hit & (off > 3.5 * sigma + 0.02 * expected))
 
 
 def _facing(db, T, facets):
@@ -179,7 +212,7 @@ def polish(seen, db, weight, T, q, pairs, scale_free):
     T, q = (linear, q_linear) if _well_posed(db, pairs) else (T, q)
     for _ in range(3):
         T, q, _, _ = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
-        matches, fraction = _explained(seen, db, T, q)
+        matches, fraction = explained(seen, db, T, q)
         if len(matches) < 2:
             return None
         same = len(matches) == len(pairs) and (matches == pairs).all()
@@ -193,7 +226,7 @@ def polish(seen, db, weight, T, q, pairs, scale_free):
     if not good.all():
         pairs = pairs[good]
         T, q, H, chi2 = _fit(seen, db, T, q, pairs[:, 0], pairs[:, 1], scale_free)
-        fraction = _explained(seen, db, T, q)[1]
+        fraction = explained(seen, db, T, q)[1]
         keep = (chi2 < GATE) & (fraction[pairs[:, 0]] >= 0.5)
         pairs, chi2 = pairs[keep], chi2[keep]
         if len(pairs) < 2:

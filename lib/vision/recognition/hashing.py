@@ -1,4 +1,9 @@
-"""The model's facets as a database, and which of them a reconstructed facet may be."""
+"""The model's facets as a database, and which of them a reconstructed facet may be.
+
+The paper hashes facets by size, shape, angle and distance. There is no hash table here. Size is a bound (what is seen
+is no larger than the facet), angle and distance are the boxes of places that branch and bound searches (search.py),
+and nothing asks for the shape: most regions are parts of facets.
+"""
 
 from dataclasses import dataclass
 

@@ -6,13 +6,13 @@
 The frame of the facets is the left camera's; a pose takes the model's frame ("world", metres) to it. The scale q is
 the metres per unit of the facets: 1, or unknown where the unit is the pair's baseline.
 
-Method. Normals alone give a few rotations: angles are the hash, pairs of scene facets against pairs of the model's
-directions. At each rotation a scene facet may lie on a facet of the model that is not smaller. The positions where it
-does fill a flat box: thin along the normal (the covariance), as wide as the part that is seen may slide on what is
-there. The largest set of matches that one displacement allows is the deepest point of those boxes. Branch and bound
-finds it, so that nothing is missed. The best candidates are fitted to the planes in closed form, then by least squares
-under the covariances. Rays say what the camera would see there: only a facet that would show where the region lies
-counts.
+Method. Normals alone give a few rotations: pairs of scene facets are laid on pairs of the model's directions that
+stand at the same angle (all of them, no hash table: a model has few directions). At each rotation a scene facet may lie
+on a facet of the model that is not smaller. The positions where it does fill a flat box: thin along the normal (the
+covariance), as wide as the part that is seen may slide on what is there. The largest set of matches that one
+displacement allows is the deepest point of those boxes. Branch and bound finds it, so that nothing is missed. The best
+candidates are fitted to the planes in closed form, then by least squares under the covariances. Rays say what the
+camera would see there: only a facet that would show where the region lies counts.
 """
 
 import math
@@ -42,7 +42,7 @@ class Recognition:
     why : str                     in plain words, where it is not recognised
     weight : (N,)                 evidence in nats of each scene facet
     counts : dict                 rotations, correspondences, nodes, candidates; complete: the search was;
-                                  chance: nats found by chance
+                                  chance: nats found by chance, ln of how many displacements were told apart
     """
 
     poses: tuple

@@ -100,7 +100,7 @@ def search(pairs, problems, weight, limits):
     while cells.count[SIZE] > 0 and nodes < limits.most_nodes:
         at = pop(cells)
         value, k = cells.bound[at], cells.problem[at]
-        if value < best - limits.margin:
+        if value < best - limits.margin or value <= 0:  # where nothing is possible is no place
             break
         nodes += 1
         box = cells.box[at].copy()

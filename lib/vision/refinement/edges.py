@@ -119,13 +119,13 @@ def draw(model, camera):
 
 
 def visible_samples(model, edges, camera, factor=1, step_px=4.0, reach=8) -> Samples:
-    """Samples every step_px along the edges that the camera sees, in pixels of the picture reduced `factor` times."""
+    """Samples every step_px along the edges that the camera sees, in pixels of the picture reduced `factor` times.
+
+    Rays look at what the model shows beside each sample: a picture of it costs ten times as much.
+    """
     K = np.array([[1 / factor, 0, 0.5 / factor - 0.5], [0, 1 / factor, 0.5 / factor - 0.5], [0, 0, 1]]) @ camera.K
     small = Camera(K, camera.width // factor, camera.height // factor, camera.T_cam_world)
-    index = draw(model, small)
-    facet = index.facet
     a, b = camera.points(edges.a), camera.points(edges.b)
-    W, H = small.width, small.height
     begin, end = edges_.clip_to_picture(small, a, b, 1e-3 * max(np.abs(a).max(), 1e-12))
     e = np.flatnonzero(begin < end)
     if len(e) == 0:
@@ -146,25 +146,32 @@ def visible_samples(model, edges, camera, factor=1, step_px=4.0, reach=8) -> Sam
     p = edges.a[e][owner] + s[:, None] * (edges.b - edges.a)[e][owner]
     direction = ((qb - qa) / np.maximum(length, 1e-12)[:, None])[owner]
     normal = np.column_stack([-direction[:, 1], direction[:, 0]])
-    # what the index buffer shows on either side, pixel by pixel away from the edge
-    clear = np.full(len(q), float(reach))
-    shown = []
-    for side in (-1, 1):
-        first = None
-        for k in range(1, reach + 1):
-            at = np.rint(q + side * (k + 0.25) * normal).astype(int)
-            inside = (at[:, 0] >= 0) & (at[:, 0] < W) & (at[:, 1] >= 0) & (at[:, 1] < H)
-            here = np.where(inside, facet[np.clip(at[:, 1], 0, H - 1), np.clip(at[:, 0], 0, W - 1)], -2)
-            first = here if first is None else first
-            clear = np.where((here != first) | ~inside, np.minimum(clear, k - 1), clear)
-        shown.append(first)
-    own = edges.facets[e][owner]
+    probe, own = index_buffer.Probe(model, small), edges.facets[e][owner]
+    sides = np.stack([-normal, normal])
+    shown, depth = (x.reshape(2, -1) for x in probe.at((q + 1.25 * sides).reshape(-1, 2)))
     mine = [(own == side[:, None]).any(axis=1) & (side >= 0) for side in shown]
-    clear = np.minimum(
-        clear, _alone(q, normal, owner, 1 / np.maximum(_inverse(t, za, zb, owner), 1e-300), index.depth, reach)
-    )
-    seen = (shown[0] != shown[1]) & (mine[0] | mine[1]) & (clear >= 1)
-    return Samples(p[seen], q[seen], normal[seen], e[owner][seen], clear[seen], np.column_stack(shown)[seen])
+    z = 1 / np.maximum(_inverse(t, za, zb, owner), 1e-300)
+    clear = _alone(q, normal, owner, z, depth.max(axis=0), reach)
+    seen = np.flatnonzero((shown[0] != shown[1]) & (mine[0] | mine[1]) & (clear >= 1))
+    clear = np.minimum(clear[seen], _unchanged(probe, small, q[seen], sides[:, seen], shown[:, seen], reach))
+    seen, clear = seen[clear >= 1], clear[clear >= 1]
+    return Samples(p[seen], q[seen], normal[seen], e[owner][seen], clear, shown[:, seen].T)
+
+
+def _unchanged(probe, camera, q, sides, shown, reach):
+    """(N,) whole px, at most `reach`: how far on both sides nothing else begins, and the picture does not end.
+
+    q : (N, 2) px;  sides : (2, N, 2) unit, away from the edge;  shown : (2, N) facets beside it
+    """
+    clear = np.full(len(q), float(reach))
+    ends = [camera.width - 0.5, camera.height - 0.5]
+    for side, facet in zip(sides, shown, strict=True):
+        at = q + (np.arange(1, reach + 1)[:, None, None] + 0.25) * side
+        same = probe.at(at[1:].reshape(-1, 2))[0].reshape(reach - 1, -1) == facet
+        same = np.concatenate([np.ones((1, len(q)), bool), same])
+        same &= ((at >= -0.5) & (at < ends)).all(axis=2)
+        clear = np.minimum(clear, np.where(same.all(axis=0), reach, (~same).argmax(axis=0)))
+    return clear
 
 
 def _inverse(t, za, zb, owner):
@@ -172,18 +179,16 @@ def _inverse(t, za, zb, owner):
     return (1 - t) / za[owner, 2] + t / zb[owner, 2]
 
 
-def _alone(q, normal, edge, z, depth, reach):
+def _alone(q, normal, edge, z, furthest, reach):
     """(N,) px: how far each sample is from another edge that may be seen, across its own.
 
-    Slivers too thin for the index buffer have edges too. Edges on one line count as one.
+    z, furthest : (N,) m, of the sample and of what is seen beside it
+
+    Slivers between places that were looked at have edges too. Edges on one line count as one.
     """
-    import cv2
     from scipy.spatial import cKDTree
 
-    H, W = depth.shape
-    furthest = cv2.dilate(np.where(depth > 0, depth, np.inf), np.ones((3, 3), np.uint8))
-    at = np.clip(np.rint(q).astype(int), 0, [W - 1, H - 1])
-    front = np.flatnonzero(z <= furthest[at[:, 1], at[:, 0]] * 1.02)
+    front = np.flatnonzero(z <= furthest * 1.02)
     alone = np.full(len(q), float(reach))
     if len(front) == 0:
         return alone

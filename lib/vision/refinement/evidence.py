@@ -23,12 +23,19 @@ def witnesses_of(model, edges, rig, pyramids, T, scale):
     return sides
 
 
-def _nats(hits, number, chance):
-    """What so many hits are worth against chance: one witness for every 25 px of edge.
+SUPPORTS = np.arange(0.5, 0.96, 0.05)  # shares of its edges that a right pose may show, all as likely
+APART = 5  # samples that are one witness: one for every 25 px of edge
 
-    Right poses show at least 0.6 of their edges.
-    """
-    return (hits * math.log(0.6 / chance) + (number - hits) * math.log(0.4 / (1 - chance))) / 5
+
+def nats_of(hits, number, chance):
+    """What so many hits are worth against chance, where a right pose shows an unknown share of its edges."""
+    each = hits * np.log(SUPPORTS / chance) + (number - hits) * np.log((1 - SUPPORTS) / (1 - chance))
+    return float(np.logaddexp.reduce(each / APART) - math.log(len(SUPPORTS)))
+
+
+def _nats_at_least(hits, number, chance, support=0.6):
+    """The same for a share that is known; low, so that a few edges that are missing refute nothing."""
+    return (hits * math.log(support / chance) + (number - hits) * math.log((1 - support) / (1 - chance))) / APART
 
 
 def evidence_of(model, edges, rig, pyramids, T, scale):
@@ -40,7 +47,7 @@ def evidence_of(model, edges, rig, pyramids, T, scale):
     if number == 0:
         return 0.0, 0.0, 0.0
     chance = min(max(beside / number, 0.02), 0.5)
-    return hits / number, chance, _nats(hits, number, chance)
+    return hits / number, chance, nats_of(hits, number, chance)
 
 
 def refuted(best, rival, support, chance, certain):
@@ -68,7 +75,7 @@ def refuted(best, rival, support, chance, certain):
         return hits, number
 
     (hits, number), (hits_rival, number_rival) = alone(best, rival), alone(rival, best)
-    for_best, for_rival = _nats(hits, number, chance), _nats(hits_rival, number_rival, chance)
+    for_best, for_rival = _nats_at_least(hits, number, chance), _nats_at_least(hits_rival, number_rival, chance)
     return for_best - for_rival >= certain and (
         hits >= 0.75 * support * number if number >= 20 else for_rival <= -certain
     )

@@ -31,7 +31,7 @@ class Refined:
     scale : m per unit of the pair's baseline; 1 where that is the metre
     rms_px : of the residuals, robust
     support : share of the predicted edges that the photographs show; chance : share that would be found anywhere
-    evidence : nats, from support against chance
+    evidence : nats, from support against chance;  needed, least : evidence and support that an answer needs
     trace : list of dict              iteration, step, error_px, rt_cam_world, ...; cpu_s, wall_s of the process
     status, chosen, ambiguous         see refine
     """
@@ -44,6 +44,8 @@ class Refined:
     chance: float
     evidence: float
     trace: list
+    needed: float = 0.0
+    least: float = 0.0
     status: str = "unique"
     chosen: int = 0
     ambiguous: tuple = ()
@@ -193,7 +195,7 @@ def _lens_covariance(fit, rig, T, scale, lens_px):
     return total
 
 
-def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, certain=8.0) -> Refined:
+def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, certain=8.0, ln_hypotheses=0.0) -> Refined:
     """The recognised poses refined and judged by the photographs.
 
     sides : Side of the left photograph, and of the right one if there is one
@@ -201,6 +203,7 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
     labels : (N, 2) of the scene facets' regions, for method "paper"
     lens_px : how well the cameras' own projections are known: it goes into the covariance
     certain : nats by which the photographs must prefer a pose to call the others wrong
+    ln_hypotheses : of how many poses `found` has the best: so much evidence the best of them has by chance
 
     status : "unique"; "ambiguous": other poses, among them those that a nearly symmetric model has, are not refuted;
     "symmetric": but for the equal ones of a model that comes onto itself; "not recognised"
@@ -224,14 +227,16 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
     rivals += [_unrefined(best, rig, T) for T, motion in zip(own, alike, strict=True) if not motion.is_exact]
     others = _not_refuted(model, edges, rig, pyramids, best, rivals, certain)
     status = "ambiguous" if others else "symmetric" if equal else "unique"
-    unproved, unseen = found.status == "unproved", best.support < LEAST
+    unproved = found.status == "unproved"
+    needed, least = ln_hypotheses + PROOF, SHOWN if unproved else LEAST
+    unseen = best.support < least
     elsewhere = any(not _is_one_of(other, own, rig) for other in others)  # what the model's shape does not account for
-    if unproved and (elsewhere or best.evidence < PROOF or unseen) or unseen and method == "edges":
+    if unproved and (elsewhere or best.evidence < needed or unseen) or unseen and method == "edges":
         status = "not recognised"
     as_good = [(r.cameras[0].T_cam_world, r.support, r.rms_px) for r in others]
     as_good += [(T, best.support, best.rms_px) for T in equal]
     ambiguous = tuple({"rt_cam_world": rt_from_matrix(T), "support": s, "error_px": px} for T, s, px in as_good)
-    return replace(best, status=status, chosen=order[0], ambiguous=ambiguous)
+    return replace(best, needed=needed, least=least, status=status, chosen=order[0], ambiguous=ambiguous)
 
 
 def _is_one_of(result, poses, rig):
@@ -264,8 +269,10 @@ def _not_refuted(model, edges, rig, pyramids, best, rivals, certain):
 
 
 MOST = 8  # poses that are refined and listed
-PROOF = 50.0  # nats of the photographs alone; wrong poses reach 20
-LEAST = 0.5  # of the edges that a pose predicts: right ones show .76 to .97 in random rooms, other models up to .48
+PROOF = 20.0  # nats of the photographs, beyond ln(hypotheses)
+SHOWN = 0.7  # of the edges that a pose predicts, where nothing but the photographs proves it
+LEAST = 0.5  # where the facets prove it too: right ones show .76 to .97 in random rooms, other models up to .48
+ENOUGH = 50.0  # nats with which no coarser start is tried
 
 
 def _posed(rig, result):
@@ -302,7 +309,7 @@ def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px
         support, _, evidence = evidence_of(model, edges, rig, pyramids, T, scale)
         tried.append((evidence, T, scale, trace))
         factor *= 2
-        if (support > 0.7 and evidence > PROOF) or factor not in pyramids[0] or 4 * factor > wanted:
+        if (support > 0.7 and evidence > ENOUGH) or factor not in pyramids[0] or 4 * factor > wanted:
             break
     _, T, scale, trace = max(tried, key=lambda t: t[0])
     final = [(1, 3.0), (1, 2.0)]

@@ -1,17 +1,27 @@
 """What a user should know of a pose: why it is refused, and what is doubtful about one that is not."""
 
-from lib.vision.refinement.pose import LEAST, MOST, PROOF
+from lib.vision.refinement.pose import MOST
 
 POOR_PX = 0.25  # rms; sharp photographs of an exact model stay at 0.06 to 0.15
 
 
-def refusal(found, result) -> str:
-    """Why the photographs do not prove the pose, with the figures. found : Recognition;  result : Refined"""
-    nats = f"{result.evidence:.0f} nats, {PROOF:.0f} needed"
+def refusal(found, result, denied=(0, 0), most=1.0) -> str:
+    """Why the photographs do not prove the pose, with the figures.
+
+    found : Recognition;  result : Refined;  denied : facets that lie where the model shows something else, and those
+    that say yes or no;  most : their share that is allowed
+    """
+    nats = f"{result.evidence:.0f} nats, {result.needed:.0f} needed"
     rivals = f", and {len(result.ambiguous)} other poses are not refuted" if result.ambiguous else ""
+    against = ""
+    if denied[0] > most * denied[1]:
+        against = (
+            f"; {denied[0]} of {denied[1]} facets lie where the model shows something else, at most "
+            f"{100 * most:.0f} % may"
+        )
     return (
-        f"{found.why or 'a pose explains them'}, and the photographs show {100 * result.support:.0f} % of that pose's "
-        f"edges, {100 * LEAST:.0f} % needed; {nats}{rivals}"
+        f"{found.why or 'a pose explains them'}, and the photographs show {100 * result.support:.0f} % of the best "
+        f"pose's edges, {100 * result.least:.0f} % needed; {nats}{rivals}{against}"
     )
 
 
@@ -24,7 +34,7 @@ def warnings(found, result) -> list[tuple[str, str]]:
             "are not exact, and the pose may be worse than its covariance says"
         )
         said.append(("photograph", text))
-    if result.evidence < PROOF:
+    if result.evidence < result.needed:
         text = (
             f"only {100 * result.support:.0f} % of the edges that the model predicts are found: the pose is poor, or "
             "the model is not what is seen"
