@@ -3,8 +3,7 @@
     $ python -m tests.bench.displaced build/displaced 1 2 3           # rooms 1, 2 and 3, each at 1, 3 and 10 cm
     $ python -m tests.bench.displaced build/displaced --known 1 2 3   # the cameras' poses are given: `place` alone
 
-Rooms, pictures and truth: lib/synthetic/displaced_pairs.py.  Each line of displaced.csv is one object; `status` is right
-if a displaced one was found and a missing one was said to be absent.
+Rooms, pictures and truth: lib/synthetic/displaced_pairs.py.  Each line of displaced.csv is one object.
 """
 
 import csv
@@ -78,12 +77,12 @@ def summary(rows):
             continue
         of = lambda k, good=good: np.array([r[k] for r in good], float)
         inside = np.mean(of(7) <= 12.59)
+        said, wrong = (sum(r[4] is word for r in gone) for word in (False, True))
         yield (
             f"{'all' if off_m is None else f'{100 * off_m:.0f} cm'}: found {len(good)} of {len(there)}; mm "
             f"{np.median(of(5)):.2f} median, {np.percentile(of(5), 90):.2f} at 90 %, {of(5).max():.2f} at most; deg "
-            f"{np.median(of(6)):.3f}, {np.percentile(of(6), 90):.3f}, {of(6).max():.3f}; {100 * inside:.0f} % in the 95 % "
-            f"ellipsoid; absent: {sum(r[4] is False for r in gone)} of {len(gone)} said, {sum(r[4] is True for r in gone)} "
-            f"found; place: {np.median(of(8)):.1f} CPU s"
+            f"{np.median(of(6)):.3f}, {np.percentile(of(6), 90):.3f}, {of(6).max():.3f}; {100 * inside:.0f} % in the "
+            f"95 % ellipsoid; absent: {said} of {len(gone)} said, {wrong} found; place: {np.median(of(8)):.1f} CPU s"
         )
 
 
