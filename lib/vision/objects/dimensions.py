@@ -2,7 +2,7 @@
 
 A facet's distance along its own normal is one number.  Its edges follow: a point of an edge moves by the least vector
 that puts it on the displaced planes of the facets that meet there.  All numbers of an object are fitted at once, on
-sub-pixel edges.  Two opposite facets that both moved outwards are a larger object; that moved alike, another place.
+sub-pixel edges.  Two opposite facets that both moved outwards are a larger object.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from lib.vision.refinement.edges import find, locate, model_edges, visible_sampl
 
 SIGMAS, LEAST_M = 6.0, 0.003  # below either a dimension counts as right
 BETTER = 8.0  # nats by which the photographs must prefer the other dimensions
+PRESENT, MORE = 0.75, 0.1  # share of the edges that must be found then, and how many more than before
 PRIOR_M = 0.1
 REACHES = (16.0, 8.0, 5.0, 3.0, 2.0, 2.0)
 MOST_FACETS = 24
@@ -23,33 +24,22 @@ LEAST_SAMPLES = 20
 
 @dataclass(frozen=True)
 class Size:
-    """by_m : how much larger than in the model, negative: smaller; sigma_m; axis : (3,) unit, world
-
-    is_place : not larger, but by_m further along the axis
-    """
+    """by_m : how much larger than in the model, negative: smaller; sigma_m; axis : (3,) unit, world"""
 
     name: str
     by_m: float
     sigma_m: float
     axis: tuple
     up: int  # the axis of the model that is upright in the picture
-    is_place: bool = False
 
 
-def wrong(scenery, things, photographs, posed) -> list[Size]:
-    """Of each thing the dimension that is most surely wrong.
-
-    posed : things whose place was fitted, so that only their dimensions are asked for
-    """
-    out = []
-    for thing in things:
-        found = _of(scenery, thing, photographs, thing in posed)
-        if found:
-            out.append(found)
-    return out
+def wrong(scenery, things, photographs) -> list[Size]:
+    """Of each thing, where it stands as well as can be, the dimension that is most surely wrong."""
+    found = [_of(scenery, thing, photographs) for thing in things]
+    return [size for size in found if size]
 
 
-def _of(scenery, thing, photographs, is_posed) -> Size | None:
+def _of(scenery, thing, photographs) -> Size | None:
     model = scenery.posed()
     facets = np.flatnonzero(model.facet_object == thing)
     if len(facets) > MOST_FACETS:
@@ -66,10 +56,10 @@ def _of(scenery, thing, photographs, is_posed) -> Size | None:
             return None
         shift, C = result
     after = evidence(Scenery(_displaced(model, facets, shift), {}), thing, window)
-    if after[2] < before[2] + BETTER:
+    if after[2] < before[2] + BETTER or after[0] < max(PRESENT, before[0] + MORE):
         return None
     up = int(np.abs(photographs.T_left_world[1, :3]).argmax())
-    return _surest(model, facets, shift, C, thing, is_posed, up)
+    return _surest(model, facets, shift, C, thing, up)
 
 
 def _step(model, thing, facets, window, reach, shift):
@@ -158,26 +148,17 @@ def _displaced(model, facets, shift):
     )
 
 
-def _surest(model, facets, shift, C, thing, is_posed, up) -> Size | None:
-    """The pair of opposite facets that is most surely further apart, nearer, or elsewhere."""
+def _surest(model, facets, shift, C, thing, up) -> Size | None:
+    """The pair of opposite facets that is most surely further apart, or nearer."""
     normal, found = model.facet_normal[facets], []
     stands = _stands(model, facets, thing)
     known = np.sqrt(np.diag(C)) < 0.3 * PRIOR_M
-    for i in range(len(facets)):
-        for j in range(i + 1, len(facets)):
-            if normal[i] @ normal[j] > -0.999:
-                continue
-            for sign in (1, -1):
-                a = np.zeros(len(facets))
-                a[[i, j]] = 1, sign
-                for k in (i, j):
-                    if not known[k] and stands[k]:
-                        a[k] = 0  # it stands: that facet is where it is
-                if not known[a != 0].all() or sign < 0 and (is_posed or np.count_nonzero(a) < 2):
-                    continue
-                scale = 1 if sign > 0 else 0.5
-                by, sigma = scale * float(a @ shift), scale * float(np.sqrt(a @ C @ a))
-                found.append((abs(by) / sigma, Size(model.objects[thing], by, sigma, tuple(normal[i]), up, sign < 0)))
+    for i, j in zip(*np.nonzero(np.triu(normal @ normal.T < -0.999)), strict=True):
+        a = np.zeros(len(facets))
+        a[[k for k in (i, j) if known[k] or not stands[k]]] = 1  # what stands on something is where it is
+        if known[a != 0].all() and a.any():
+            by, sigma = float(a @ shift), float(np.sqrt(a @ C @ a))
+            found.append((abs(by) / sigma, Size(model.objects[thing], by, sigma, tuple(normal[i]), up)))
     found = [(s, size) for s, size in found if s > SIGMAS and abs(size.by_m) > LEAST_M]
     return max(found, key=lambda f: f[0])[1] if found else None
 

@@ -14,7 +14,7 @@ import numpy as np
 from lib.given.cameras import rt_from_matrix
 from lib.given.model import parts
 from lib.vision.objects import dimensions, search, supports
-from lib.vision.objects.fit import Fitted, Support, evidence, fitted
+from lib.vision.objects.fit import HIT_PX, Fitted, Support, evidence, fitted
 from lib.vision.objects.scenery import Photographs, Scenery
 from lib.vision.recognition import symmetry
 from lib.vision.refinement.rig import depth
@@ -56,11 +56,15 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """placed : [Placed];  model : Model with everything in place;  sizes : [dimensions.Size] that are wrong in it"""
+    """placed : [Placed];  model : Model with everything in place;  sizes : [dimensions.Size] that are wrong in it
+
+    aside : [Placed] of those that are not where they are drawn, and were left there
+    """
 
     placed: list
     model: object
     sizes: list
+    aside: list
 
 
 @dataclass(eq=False)
@@ -81,9 +85,9 @@ class _Job:
 def place(model, sides, movable, things=None, *, refine=False, fixed=(), camera_covariance=None, within_m=1.0):
     """Result: first the movable objects and those of files, then what `refine` allows, then wrong dimensions.
 
-    model : as drawn; movable : names; things : {name: Model in its own frame}; fixed : groups whose objects `refine`
-    leaves alone; camera_covariance : (6, 6) of (omega, tau) of the left camera's pose; within_m : how far from where it
-    is drawn a movable object is sought, along its support
+    model : as drawn; movable : names of objects with a pose of their own; things : {name: Model in its own frame}
+    fixed : groups whose objects `refine` leaves alone; camera_covariance : (6, 6) of (omega, tau) of the left camera
+    within_m : how far from where it is drawn a movable object is sought, along its support
     """
     world = World(model, sides[0].camera)
     whole = model
@@ -95,13 +99,12 @@ def place(model, sides, movable, things=None, *, refine=False, fixed=(), camera_
     sought = [*(model.objects.index(name) for name in movable), *files]
     scenery = Scenery(whole, dict.fromkeys(sought))
     placed, scenery = _all_sought(job, scenery, sought)
+    moved, mended = _refined(job, scenery, set(sought), fixed)
+    there = [thing for thing in range(len(whole.objects)) if mended.poses.get(thing, True) is not None]
+    sizes = dimensions.wrong(mended, [k for k in there if k in files or k in world.movable], photographs)
     if refine:
-        more, scenery = _refined(job, scenery, set(sought), fixed)
-        placed += more
-    there = [thing for thing in range(len(whole.objects)) if scenery.poses.get(thing, True) is not None]
-    small = [k for k in there if k in files or k in world.movable]
-    sizes = dimensions.wrong(scenery, small, photographs, set(sought) | {whole.objects.index(p.name) for p in placed})
-    return Result(placed, scenery.posed(), sizes)
+        return Result(placed + moved, mended.posed(), sizes, [])
+    return Result(placed, scenery.posed(), sizes, moved)
 
 
 # ---- movable objects ----
@@ -219,11 +222,18 @@ def _least_turned(fit, alone):
     return replace(fit, T=equal[int(np.argmin(turned))])
 
 
+def _aside_px(job, scenery, thing, T):
+    """How far the corners of an object go at most, in any photograph."""
+    p = scenery.points(thing)
+    q = p @ T[:3, :3].T + T[:3, 3]
+    return max(float(np.nanmax(np.abs(c.project(q) - c.project(p)), initial=0)) for c in job.photographs.cameras())
+
+
 # ---- objects of the model that stand centimetres elsewhere ----
 
 
 def _refined(job, scenery, sought, fixed):
-    """([Placed] of those that were moved, Scenery)."""
+    """([Placed] of those that stand elsewhere, Scenery with them in place)."""
     model, placed = scenery.model, []
     lamps = {int(model.facet_object[f]) for f in range(model.n_facets) if model.groups[model.facet_group[f]] in fixed}
     for thing in sorted(set(map(int, job.world.movable)) - sought - lamps, key=lambda k: -job.world.span[k]):
@@ -253,6 +263,8 @@ def _elsewhere(job, scenery, thing) -> Fitted | None:
                 here = _final(job, scenery, thing, rough.T)
     if not _says(here) or here.nats < as_drawn[2] - BETTER:
         return None
+    if _aside_px(job, scenery, thing, here.T) > HIT_PX and here.nats < as_drawn[2] + BETTER:
+        return None  # as many edges are met where it is drawn: those of shadows, most likely
     step = rt_from_matrix(here.T)
     C = in_world(photographs.T_left_world, here.covariance, job.camera_covariance)
     p = scenery.points(thing)

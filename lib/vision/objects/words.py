@@ -18,23 +18,24 @@ def warnings(result) -> list[str]:
             said.append(
                 f"{p.name}: stands {100 * moved_m(result, p):.1f} cm from where the model has it, and was moved"
             )
+    for p in result.aside:
+        far = f"{100 * moved_m(result, p, is_there=False):.1f} cm"
+        said.append(f"{p.name}: stands {far} from where the model has it; `refine: [objects]` would move it")
     return said + [text(size) for size in result.sizes]
 
 
-def moved_m(result, placed) -> float:
-    """How far the middle of an object of the model went."""
+def moved_m(result, placed, is_there=True) -> float:
+    """How far the middle of an object of the model went, or would go."""
     model = result.model
     thing = model.objects.index(placed.name)
     p = model.vertices[np.unique(model.triangles[model.facet_object[model.triangle_facet] == thing])].mean(axis=0)
-    return float(np.linalg.norm(p - placed.T[:3, :3].T @ (p - placed.T[:3, 3])))
+    other = placed.T[:3, :3].T @ (p - placed.T[:3, 3]) if is_there else placed.T[:3, :3] @ p + placed.T[:3, 3]
+    return float(np.linalg.norm(p - other))
 
 
 def text(size) -> str:
     """In words: the desk is 2.0 cm higher than the model, 11 sigma."""
     by, sigmas = f"{100 * abs(size.by_m):.1f} cm", f"{abs(size.by_m) / size.sigma_m:.0f} sigma"
-    if size.is_place:
-        way = np.sign(size.by_m) * np.array(size.axis)
-        return f"{size.name}: stands {by} from where the model has it, towards {_direction(way)}, {sigmas}"
     if max(np.abs(size.axis)) > UP and np.argmax(np.abs(size.axis)) == size.up:
         return f"{size.name}: is {by} {'higher' if size.by_m > 0 else 'lower'} than the model, {sigmas}"
     longer = "longer" if size.by_m > 0 else "shorter"
