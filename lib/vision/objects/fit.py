@@ -145,6 +145,8 @@ def _freed(T, fit, covariance, support, solved, schedule, left):
     gap = rt_from_matrix(left @ T_free @ np.linalg.inv(left @ T))
     held = np.column_stack([support.basis(left), support.across(left)])
     numbers = np.linalg.solve(held, gap)[3:]
+    if numbers[0] < -3 * CONTACT_M:
+        return T, fit, covariance, True  # nothing sinks into what it stands on: it is lower than its model
     inverse = np.linalg.inv(held)
     own = (inverse @ C @ inverse.T)[3:, 3:]
     allowed = np.diag([CONTACT_M**2, CONTACT_SHARE**2, CONTACT_SHARE**2])
