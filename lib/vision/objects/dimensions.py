@@ -24,22 +24,27 @@ LEAST_SAMPLES = 20
 
 @dataclass(frozen=True)
 class Size:
-    """by_m : how much larger than in the model, negative: smaller; sigma_m; axis : (3,) unit, world"""
+    """by_m : how much larger than in the model, negative: smaller; sigma_m; axis : (3,) unit, world
+
+    rms_px : robust, of the edges with all dimensions fitted
+    """
 
     name: str
     by_m: float
     sigma_m: float
     axis: tuple
     up: int  # the axis of the model that is upright in the picture
+    rms_px: float | None = None
 
 
 def wrong(scenery, things, photographs) -> list[Size]:
     """Of each thing, where it stands as well as can be, the dimension that is most surely wrong."""
-    found = [_of(scenery, thing, photographs) for thing in things]
+    found = [surest(scenery, thing, photographs) for thing in things]
     return [size for size in found if size]
 
 
-def _of(scenery, thing, photographs) -> Size | None:
+def surest(scenery, thing, photographs) -> Size | None:
+    """The dimension of one object that is most surely wrong, or None."""
     model = scenery.posed()
     facets = np.flatnonzero(model.facet_object == thing)
     if len(facets) > MOST_FACETS:
@@ -54,16 +59,17 @@ def _of(scenery, thing, photographs) -> Size | None:
         result = _step(_displaced(model, facets, shift), thing, facets, window, reach, shift)
         if result is None:
             return None
-        shift, C = result
+        shift, C, rms_px = result
     after = evidence(Scenery(_displaced(model, facets, shift), {}), thing, window)
     if after[2] < before[2] + BETTER or after[0] < max(PRESENT, before[0] + MORE):
         return None
     up = int(np.abs(photographs.T_left_world[1, :3]).argmax())
-    return _surest(model, facets, shift, C, thing, up)
+    size = _surest(model, facets, shift, C, thing, up)
+    return size and replace(size, rms_px=rms_px)
 
 
 def _step(model, thing, facets, window, reach, shift):
-    """(shift (F,) m, covariance) after a Gauss-Newton step, or None."""
+    """(shift (F,) m, covariance, robust rms px) after a Gauss-Newton step, or None."""
     edges = model_edges(model)
     owner = np.append(model.facet_object, -1)
     rows, residuals, weights, witness = [], [], [], []
@@ -99,7 +105,7 @@ def _step(model, thing, facets, window, reach, shift):
         mine = witness == e
         for move in (ASIDE_PX * robust[mine] @ J[mine] @ inverse, (robust[mine] * left[mine]) @ J[mine] @ inverse):
             C = C + np.outer(move, move)
-    return shift + change, C
+    return shift + change, C, float(np.sqrt((robust * left**2).sum() / robust.sum()))
 
 
 def _follows(model, edges, facets, edge, camera, p, normal):

@@ -269,4 +269,8 @@ def _elsewhere(job, scenery, thing) -> Fitted | None:
     C = in_world(photographs.T_left_world, here.covariance, job.camera_covariance)
     p = scenery.points(thing)
     far = np.linalg.norm(p @ here.T[:3, :3].T + here.T[:3, 3] - p, axis=1).max()
-    return here if far > MOVED_M and step @ np.linalg.solve(C, step) > MOVED_CHI2 else None
+    if far <= MOVED_M or step @ np.linalg.solve(C, step) <= MOVED_CHI2:
+        return None
+    size = dimensions.surest(scenery, thing, photographs)
+    # one of another height may look moved, or the other way round: whichever leaves its edges less
+    return None if size and size.rms_px < here.rms_px else here
