@@ -10,6 +10,7 @@
 reads   facets, model; photographs, their surfaces and their pinhole cameras in the pair's frame
         orientation      the pair has no scale: the model gives it
         calibration      how well the cameras' projections are known
+        movable          objects of the model that may be elsewhere, or nowhere: the pose is that of the others
 writes  posed, posed-right   the cameras in the model's frame
         pose            rt_cam_world; its covariance (6, 6) of (omega, tau): T = exp(omega, tau) T_hat along the left
                         camera's axes, rad and m; matches, trace; status: unique, ambiguous or symmetric, with the
@@ -37,6 +38,7 @@ def options():
         default="edges",
         help="of the refinement: edges at sub-pixel by a trust region, or the paper's gradient on vertices",
     )
+    parser.add_argument("--movable", type=stage.json_option, default=[], help="names of objects that are left out")
     parser.add_argument(
         "--lens-px",
         default="auto",
@@ -71,6 +73,7 @@ def main(opt):
 
             from lib.core import artefact
             from lib.given import model as models
+            from lib.given.model import parts
             from lib.vision import facets_file
             from lib.vision.corners import answer
             from lib.vision.recognition import recognise as recognition
@@ -81,6 +84,10 @@ def main(opt):
             scene = facets_file.read_scene(opt.facets)
             sides = read_sides(opt)
             calibration = artefact.read_json(opt.calibration) if opt.calibration else None
+        if opt.movable:
+            if not set(model.objects) - set(opt.movable):
+                raise stage.BadInput(f"{opt.model}: objects: all are movable, and nothing is left to tell the pose")
+            model = parts.without(model, opt.movable)
         if (scene.unit == "baseline") != bool(opt.orientation):
             raise stage.BadInput(
                 f"{opt.facets}: unit: {scene.unit!r}, but an orientation is "

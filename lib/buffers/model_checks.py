@@ -53,7 +53,7 @@ def _doubled(model, boxes):
     place = np.hstack([boxes.low, boxes.high, size]) / (1e-6 * boxes.diagonal)
     key = np.rint(np.hstack([place, 1e3 * model.facet_normal])) + 0.0
     first, number, count = np.unique(key, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:]
-    twice = np.flatnonzero(count[number.reshape(-1)] > 1)
+    twice = np.flatnonzero((count[number.reshape(-1)] > 1) & np.isfinite(boxes.low[:, 0]))  # not of absent objects
     twin = first[number.reshape(-1)[twice]]
     found = [_pair(model, a, b) for a, b in zip(twin, twice, strict=True) if a != b]
     if found:

@@ -78,17 +78,18 @@ class Caster:
         return np.rint(np.bincount(ray, leaves, len(rays))).astype(int)
 
 
-def occluders(corners, facet_of_triangle) -> np.ndarray:
+def occluders(corners, facet_of_triangle, n_facets=None) -> np.ndarray:
     """Which facets can stand between two points of the model, (F,) bool.
 
     A facet whose plane has the whole model on one side (the walls of a plain room) bounds the scene and never occludes.
     Where no facet is left, no visibility ray is cast.
 
-    corners : (T, 3, 3) local;  facet_of_triangle : (T,) int
+    corners : (T, 3, 3) local;  facet_of_triangle : (T,) int;  n_facets : F, by default up to the last that has a
+    triangle: those of absent objects have none, and occlude nothing
     """
     points = np.unique(corners.reshape(-1, 3), axis=0)
-    n_facets = int(facet_of_triangle.max()) + 1
-    first = np.unique(facet_of_triangle, return_index=True)[1]
+    n_facets = n_facets or int(facet_of_triangle.max()) + 1
+    there, first = np.unique(facet_of_triangle, return_index=True)
     v = corners[first]
     normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
@@ -96,7 +97,9 @@ def occluders(corners, facet_of_triangle) -> np.ndarray:
         return np.ones(n_facets, bool)
     height = points @ normal.T - np.einsum("ij,ij->i", v[:, 0], normal)
     tolerance = 2 * OFFSET
-    return (height.max(axis=0) > tolerance) & (height.min(axis=0) < -tolerance)
+    can = np.zeros(n_facets, bool)
+    can[there] = (height.max(axis=0) > tolerance) & (height.min(axis=0) < -tolerance)
+    return can
 
 
 # ---- low-discrepancy points: Sobol', 4 dimensions (Joe & Kuo), scrambled by a digital shift per element ----

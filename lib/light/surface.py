@@ -70,7 +70,7 @@ def _surface(model, lamps) -> Surface:
     corners = local.points(model.vertices)[model.triangles]
     facet = np.array(model.triangle_facet, np.int32)  # copies: kernels would be compiled again for read-only arrays
     normal = np.array(model.facet_normal, float)
-    can = ray_tools.occluders(corners, facet)
+    can = ray_tools.occluders(corners, facet, len(normal))
     group, thing = np.array(model.facet_group, np.int32), np.array(model.facet_object, np.int32)
     lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps])
     faces = [(lid.object, local.points(lid.corners)) for lid in model.lids.faces]
@@ -117,9 +117,12 @@ def _inside(model, lids, corners, facet, normal, lamp_facet):
     lids : [(object, (n, 3, 3) local)]
     """
     inside = np.zeros(2 * len(normal), bool)
-    first = np.unique(facet, return_index=True)[1]
-    middle = corners[first].mean(axis=1)
-    lit = np.flatnonzero(lamp_facet)
+    there, first = np.unique(facet, return_index=True)
+    middle = np.zeros((len(normal), 3))
+    middle[there] = corners[first].mean(axis=1)
+    absent = np.setdiff1d(np.arange(len(normal)), there)  # of objects that are not there: nothing reaches them
+    inside[2 * absent], inside[2 * absent + 1] = True, True
+    lit = np.setdiff1d(np.flatnonzero(lamp_facet), absent)
     for obj in np.flatnonzero(model.solid_objects()):
         mine = np.flatnonzero(model.facet_object == obj)
         faces = [p for of, p in lids if of == obj]
@@ -216,8 +219,8 @@ def _lift(corners, facet, normal, inside, last):
 
 def _coplanar_pairs(corners, facet, normal):
     """(K, 2) facets in one plane whose bounding boxes overlap."""
-    F = len(normal)
-    first = np.unique(facet, return_index=True)[1]
+    there, first, facet = np.unique(facet, return_index=True, return_inverse=True)  # not those of absent objects
+    F, normal = len(there), normal[there]
     height = np.einsum("ij,ij->i", corners[first, 0], normal)
     turn = np.where(normal[np.arange(F), np.abs(normal).argmax(axis=1)] < 0, -1.0, 1.0)
     low, high = np.full((F, 3), np.inf), np.full((F, 3), -np.inf)
@@ -226,7 +229,7 @@ def _coplanar_pairs(corners, facet, normal):
     # along the axis where the boxes overlap least
     axis = int(np.argmax(low.std(axis=0) / np.maximum((high - low).mean(axis=0), OFFSET)))
     order = np.argsort(low[:, axis], kind="stable")
-    return kernels.coplanar_pairs(order, axis, low, high, np.column_stack([normal, height]) * turn[:, None])
+    return there[kernels.coplanar_pairs(order, axis, low, high, np.column_stack([normal, height]) * turn[:, None])]
 
 
 def _lower_first(pairs, last):

@@ -39,9 +39,13 @@ def here(path) -> Path:
 # ---- quick looks; where a file cannot be read, the stage that needs it says why ----
 
 
-def _groups_of_obj(data) -> set[str]:
-    names = re.findall(rb"^[ \t]*usemtl[ \t]+([^\r\n]*?)[ \t]*\r?$", data, re.M)
+def _names_of_obj(data, word) -> set[str]:
+    names = re.findall(rb"^[ \t]*" + word + rb"[ \t]+([^\r\n]*?)[ \t]*\r?$", data, re.M)
     return {name.decode("utf-8", "replace") for name in names}
+
+
+def _groups_of_obj(data) -> set[str]:
+    return _names_of_obj(data, b"usemtl")
 
 
 def _groups_of_glb(data) -> set[str] | None:
@@ -53,6 +57,12 @@ def _groups_of_glb(data) -> set[str] | None:
 # The formats of models: the groups that a file's text names. Their readers: lib/given/model.
 GROUPS_OF = {"obj": _groups_of_obj, "glb": _groups_of_glb}
 MODEL = f"model.{'|'.join(GROUPS_OF)}"
+OBJECTS = "objects/"  # movable objects that are not in the model, a file each
+
+
+def object_files(folder) -> list[Path]:
+    """The models in a scene's folder objects/ (or None), by name."""
+    return sorted(p for p in folder.iterdir() if p.suffix[1:] in GROUPS_OF) if folder else []
 
 
 def model_groups(path) -> set[str] | None:

@@ -1,8 +1,8 @@
 """What the scene's folder holds, checked before any stage runs."""
 
 from lib.core.stage import BadInput
-from lib.planning.files import MODEL, SIDES, alternatives, model_groups, photograph_of
-from lib.planning.rules import show
+from lib.planning.files import MODEL, OBJECTS, SIDES, alternatives, model_groups, object_files, photograph_of
+from lib.planning.rules import NAME, show
 
 
 def folder_problems(scene):
@@ -14,6 +14,7 @@ def folder_problems(scene):
         for name in alternatives(file):
             if (scene.folder / name).is_dir():
                 yield f"{scene.folder / name}: is a folder, not a file"
+    yield from _object_problems(scene)
     groups = model_groups(scene.given(MODEL)) if scene.given(MODEL) else None
     if groups:
         yield from _unknown_groups(scene, groups)
@@ -51,7 +52,41 @@ def inspect(scene, files) -> list[str]:
                 problems.append(problem)
     if MODEL in found:
         problems += _unknown_groups(scene, found[MODEL].groups)
+        problems += _object_names(scene, found[MODEL].objects)
+    if OBJECTS in files:
+        for path in object_files(scene.given(OBJECTS)):
+            try:
+                models.load(path)
+            except BadInput as bad:
+                problems += bad.problems
     return problems
+
+
+def _object_problems(scene):
+    """Names in objects/ that will not do."""
+    if (scene.folder / "objects").is_file():
+        yield f"{scene.folder / 'objects'}: is a file, not a folder"
+    names = {}
+    for path in object_files(scene.given(OBJECTS)):
+        if not NAME.fullmatch(path.stem):
+            yield f"{path}: {path.stem}: is not a name of letters, digits, _ and -"
+        elif path.stem in names:
+            yield f"{scene.folder / 'objects'}: {names[path.stem]} and {path.name}: only one of them may be given"
+        elif path.stem in scene.movable:
+            yield f"{scene.folder / 'scene.yaml'}: movable: {show(path.stem)} is {path} too: one of them is to go"
+        names.setdefault(path.stem, path.name)
+
+
+def _object_names(scene, objects):
+    """Movable objects that the model has not, and files in objects/ that bear the name of one that it has."""
+    model = scene.given(MODEL).name
+    for name in scene.movable:
+        if name not in objects:
+            where = scene.folder / "scene.yaml"
+            yield f"{where}: movable: {show(name)} names no object of {model}, which has {', '.join(sorted(objects))}"
+    for path in object_files(scene.given(OBJECTS)):
+        if path.stem in objects:
+            yield f"{path}: {path.stem}: is an object of {model} too: name it under movable, or rename the file"
 
 
 def _unknown_groups(scene, groups):

@@ -13,7 +13,7 @@ from lib.core import artefact
 from lib.core.stage import BadInput
 from lib.planning import folder
 from lib.planning.command import command, imports
-from lib.planning.files import here
+from lib.planning.files import OBJECTS, here, object_files
 from lib.planning.walk import explain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,9 +55,14 @@ def inspect(plan) -> dict[Path, str]:
     They are not opened again until one changes.  Raises BadInput with a line for each that cannot be used.
     """
     needed = {file for name in plan.planned for file in plan.stages[name].reads.values()}
+    needed |= {OBJECTS for name in plan.planned if OBJECTS in plan.stages[name].may_read.values()}
     files = {file for file in (*needed, plan.scene.views["<curve>"]) if plan.scene.given(file)}
     paths = [path for file in sorted(files) if (path := plan.scene.given(file)).is_file()]
     names = {key: sorted(getattr(plan.scene, key)) for key in ("lamps", "reference", "surfaces")}
+    if OBJECTS in files:
+        paths += object_files(plan.scene.given(OBJECTS))
+    if plan.scene.movable:
+        names["movable"] = sorted(plan.scene.movable)
     content = "\n".join([artefact.dumps_json(names), *map(_stamp, paths)]) + "\n"
     checked = plan.build / "commands" / "checked"
     if not _holds(checked, content) and (problems := folder.inspect(plan.scene, files)):

@@ -19,12 +19,14 @@ FACTS = (
     "transfer",
     "surfaces",
     "explain",
+    "refine",
+    "movable",
     "unit",
     "augment",
     "scene",
 )
 FILES = ("reads", "may_read", "writes", "may_write")
-ENTRY = ("script", *FILES, "beside", "refines", "facts", "params", "sweep", "needs")
+ENTRY = ("script", "asked_by", *FILES, "beside", "refines", "facts", "params", "sweep", "needs")
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Stage:
 
     name: str
     script: str  # as the command line names it
+    asked_by: list = field(default_factory=list)  # only scenes that have one of these keys or folders know the stage
     reads: dict = field(default_factory=dict)  # option -> file
     may_read: dict = field(default_factory=dict)
     writes: dict = field(default_factory=dict)
@@ -77,7 +80,8 @@ class Stage:
             {option: views.get(file, file) for option, file in getattr(self, key).items()} for key in FILES
         )
         if "photograph_right" in may_read and reads:
-            if scene.given("right.png|jpg|tif|exr"):
+            unposed = scene.lone_pose and "<right posed>" in self.may_read.values()
+            if scene.given("right.png|jpg|tif|exr") and not unposed:
                 reads |= {option: may_read.pop(option) for option in tuple(may_read) if option.endswith("_right")}
             else:
                 may_read = _without_right(may_read)

@@ -13,8 +13,11 @@ from lib.given.kinds import KINDS
 from lib.given.units import METRES
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
-KEYS = ("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "model", "goals", "augment", "params")
-SHARPEST = 1000  # exponent of a lamp's lobe
+KEYS = (
+    *("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "refine", "movable", "model", "goals"),
+    *("augment", "params"),
+)
+REFINED = ("objects",)  # what `refine` may name
 SHARPEST = 1000  # exponent of a lamp's lobe
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 TRANSFERS = ("auto", *transfer_kinds.KINDS)
@@ -145,6 +148,29 @@ def explain(value):
             yield "explain", cause, f"is none of {', '.join(causes.CAUSES)}"
         elif cause not in causes.BUILT:
             yield "explain", cause, "is not built yet"
+
+
+def refine(value):
+    yield from _names("refine", value, f"a list of {', '.join(REFINED)}")
+    for name in value if isinstance(value, list) else ():
+        if isinstance(name, str) and name and name not in REFINED:
+            yield "refine", name, f"is none of {', '.join(REFINED)}"
+
+
+def movable(value):
+    yield from _names("movable", value, "a list of objects of the model")
+
+
+def _names(key, value, what):
+    """A list of different names."""
+    if not isinstance(value, list):
+        yield key, value, f"is not {what}"
+        return
+    for number, name in enumerate(value):
+        if not isinstance(name, str) or not name:
+            yield key, name, "is not a name (quote it)"
+        elif name in value[:number]:
+            yield key, name, "stands there twice"
 
 
 def model(value):

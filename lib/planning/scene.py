@@ -10,13 +10,26 @@ from pathlib import Path
 
 from lib.core.stage import BadInput
 from lib.planning import rules
-from lib.planning.files import MODEL, PHOTOGRAPH, PINHOLE, SIDES, alternatives, centre_of, lens_of, photograph_of
+from lib.planning.files import (
+    MODEL,
+    OBJECTS,
+    PHOTOGRAPH,
+    PINHOLE,
+    SIDES,
+    alternatives,
+    centre_of,
+    lens_of,
+    object_files,
+    photograph_of,
+)
 from lib.planning.folder import folder_problems
 from lib.planning.rules import KEYS, show
 from lib.planning.yaml_file import read_yaml
 
 IN_METRES = "model.metres.glb"
+POSED_MODEL = "model.posed.glb"
 NO_FILE = "-"  # no scene has one of this name
+PLACED = ("movable", "refine", OBJECTS)  # a scene that asks for one of these has a model with objects at found places
 GOALS = ("materials.json", "rendered.png", "report.html")
 
 
@@ -32,6 +45,8 @@ class Scene:
     reference: dict = field(default_factory=dict)  # group -> [r, g, b] reflectance
     transfer: object = None  # a word, {"gamma": g} or {"curve": file}
     explain: object = None  # causes that may be taken, None: all
+    refine: tuple = ()  # what of the model may be moved to fit both photographs
+    movable: tuple = ()  # objects of the model with a pose of their own
     model: dict = field(default_factory=dict)  # unit of its lengths; which way is up
     surfaces: dict = field(default_factory=dict)  # group -> kind
     goals: tuple = GOALS
@@ -53,8 +68,26 @@ class Scene:
     def views(self):
         """What pipeline.yaml's <model>, <left>, <left camera> and so on are in this scene (`views` below)."""
         curve = self.transfer.get("curve", NO_FILE) if isinstance(self.transfer, dict) else NO_FILE
-        model = MODEL if self.fact("unit") == "m" else IN_METRES
-        return {"<model>": model, "<curve>": curve, **views(self, "left"), **views(self, "right")}
+        drawn = MODEL if self.fact("unit") == "m" else IN_METRES
+        placed = any(map(self.asks, PLACED))
+        return {
+            "<drawn model>": drawn,
+            "<model>": POSED_MODEL if placed else drawn,
+            "<camera pose>": "pose.camera.json" if placed else "pose.json",
+            "<curve>": curve,
+            **views(self, "left"),
+            **views(self, "right"),
+        }
+
+    def asks(self, word) -> bool:
+        """Whether scene.yaml says something under a key, or something lies in a folder `objects/`."""
+        return bool(object_files(self.given(word)) if word == OBJECTS else getattr(self, word))
+
+    @property
+    def lone_pose(self) -> bool:
+        """Is the pose of `left` given and that of `right` not? Then no stage finds it."""
+        left, right = (self.given(f"{side}.posed.cameramodel") for side in SIDES)
+        return bool(left and not right)
 
     def fact(self, key):
         """What a stage is told of scene.yaml under this key of `facts`; None: nothing."""
@@ -74,6 +107,8 @@ class Scene:
         if key == "transfer" and self.transfer is None:
             photograph = self.given(PHOTOGRAPH)
             return "linear" if photograph and photograph.suffix == ".exr" else "auto"
+        if key in PLACED:
+            return list(getattr(self, key)) or None
         return getattr(self, key)
 
 
@@ -150,6 +185,8 @@ def read(folder, stages) -> Scene:
         "reference": rules.reference,
         "transfer": lambda v: rules.transfer(v, bare),
         "explain": rules.explain,
+        "refine": rules.refine,
+        "movable": rules.movable,
         "model": rules.model,
         "surfaces": rules.surfaces,
         "goals": lambda v: rules.goals(v, outputs, bare),
@@ -159,8 +196,9 @@ def read(folder, stages) -> Scene:
     sound, problems = _checked(path, checks)
     if "goals" in sound:
         sound["goals"] = tuple(dict.fromkeys(sound["goals"]))
-    if "augment" in sound:
-        sound["augment"] = tuple(sound["augment"])
+    for key in ("augment", "refine", "movable"):
+        if key in sound:
+            sound[key] = tuple(sound[key])
     scene = Scene(folder.name, folder, **sound)
     return replace(scene, problems=(*problems, *folder_problems(scene)))
 

@@ -96,7 +96,8 @@ def walk(scene, stages, build, wishes=(None,)) -> Plan:
 
     Raises BadInput that lists every problem, the scene's too.
     """
-    stages = {name: stage.within(scene) for name, stage in stages.items()}
+    asked = lambda stage: not stage.asked_by or any(map(scene.asks, stage.asked_by))
+    stages = {name: stage.within(scene) for name, stage in stages.items() if asked(stage)}
     closing = [goal for goal in CLOSING if any(goal in s.files for s in stages.values())]
     whole = _Walk(scene, stages)
     for goal in [*scene.goals, *closing]:

@@ -30,6 +30,7 @@ READERS = {
     "facets": lambda path: record.read(path, facets_file.Facets),
     "pose": lambda path: record.read(path, records.Pose),
 }
+TRUE_READERS = READERS | {"pose": lambda path: record.read(path, records.ObjectPoses)}
 # of the vision half: read only where truth says something of it
 VISION = ("model", "calibration", "lens", "lens_right", "camera", "camera_right", "posed", "surfaces", "facets", "pose")
 IMAGES = ("group", "object", "mirror", "depth")  # compared pixel by pixel
@@ -44,6 +45,7 @@ TRUE_FILES = {
     "lens_right": "right.cameramodel",
     "posed": "left.posed.cameramodel",
     "calibration": "calibration.json",
+    "pose": "pose.json",
 }
 
 
@@ -74,13 +76,13 @@ class Answers:
     posed: cameras.Camera | None = None
     surfaces: np.ndarray | None = None
     facets: facets_file.Facets | None = None
-    pose: records.Pose | None = None
+    pose: records.Pose | records.ObjectPoses | None = None  # of truth, the objects alone
     disparity: np.ndarray | None = None
 
     @classmethod
-    def read(cls, paths, **more):
+    def read(cls, paths, readers=READERS, **more):
         """paths : {name: path or None}. BadInput: a file breaks its rules, or an index that the legend has not."""
-        found = cls(**{name: READERS[name](path) for name, path in paths.items() if path}, **more)
+        found = cls(**{name: readers[name](path) for name, path in paths.items() if path}, **more)
         for name, kind in (("group", "group"), ("object", "object"), ("mirror", "group")):
             labels = getattr(found, name)
             if labels is None or found.legend is None:
@@ -114,7 +116,8 @@ def read_truth(files) -> Answers:
         path = files["disparity.png"]
         scale, grey = record.read(path.with_suffix(".json"), records.DisparityScale), image.read_labels(path)
         disparity = np.where(grey == scale.unknown, np.nan, grey * scale.px_per_grey)
-    return Answers.read({name: files.get(file) for name, file in TRUE_FILES.items()}, disparity=disparity)
+    paths = {name: files.get(file) for name, file in TRUE_FILES.items()}
+    return Answers.read(paths, TRUE_READERS, disparity=disparity)
 
 
 def read_found(files, true: Answers) -> Answers:

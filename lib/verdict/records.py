@@ -65,6 +65,25 @@ class PoseStep:
 
 
 @dataclass(frozen=True)
+class ObjectPose:
+    """rt_world_object : from the place in the model, or the object's own file, to the world;  found : None for unknown
+
+    covariance : (6, 6) of (omega, tau), T = exp(omega, tau) T_hat along the world's axes, rad and m
+    """
+
+    rt_world_object: tuple | None = told(numbers(6))
+    covariance: tuple | None = told(matrix(6, 6))
+    found: bool | None = told(flag)
+
+
+@dataclass(frozen=True)
+class ObjectPoses:
+    """Of pose.json, the objects alone."""
+
+    objects: dict = table_of(ObjectPose)
+
+
+@dataclass(frozen=True)
 class Pose:
     """pose.json. rt_cam_world : Rodrigues vector and metres;  covariance : (6, 6) of (omega, tau), rad and m
 
@@ -79,6 +98,7 @@ class Pose:
     trace: list = list_of(PoseStep)
     ambiguous: list = told(items, list)
     status: str | None = told(word(), absent=True)
+    objects: dict = table_of(ObjectPose, absent=True)
 
     @property
     def others(self):

@@ -4,6 +4,8 @@ pose.angle_deg, pose.centre_mm   rotation between the found and the true camera,
 pose.in_sigmas                   sqrt(e' C^-1 e / 6) of the six errors e, C of pose.json: near 1 if C is honest
 pose.vertices_px                 rms of the visible vertices of the model, in the photograph's own pixels
 pose.vertices_max_px             the worst of them;  pose.vertices: how many they are
+objects.mm, .deg                 movable objects: of the middle, and of the turn; medians, and max_mm, max_deg
+objects.in_sigmas                as pose.in_sigmas, rms;  objects.missed, .invented: how many
 lens.<side>.projection_px        rms distance of the pixels that two lenses give one direction, after the best rotation
 lens.<side>.focal_relative       |f / f* - 1|
 pair.baseline_relative           |b / b* - 1|
@@ -28,8 +30,10 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.given.cameras import matrix_from_rt, rt_from_matrix
+from lib.given.model import parts
 from lib.verdict.answers import Answers
 from lib.verdict.records import Calibration
+from lib.vision.recognition import symmetry
 
 WRONG_DEG, WRONG_DISTANCE = 5, 0.05  # of a facet that is counted as wrong
 CHI2_3, CHI2_3_999 = 7.814727903251179, 16.26623619623813  # 95, 99.9 % of chi-square with 3 degrees of freedom
@@ -234,7 +238,44 @@ def against_truth(found: Answers, true: Answers):
         true = _in_the_same_turn(found, true)
         errors += [("recognise", *error) for error in _pose(found, true)]
         errors += [("reconstruct", *error) for error in _planes(found, true)]
+    errors += [("place", *error) for error in _objects(found, true)]
     return errors
+
+
+def _objects(found: Answers, true: Answers):
+    """Where movable objects are, of those that truth says something of, up to what brings each onto itself."""
+    if found.pose is None or not found.pose.objects or true.pose is None or found.model is None:
+        return []
+    rows, missed, invented = [], 0, 0
+    for name, where in true.pose.objects.items():
+        entry = found.pose.objects.get(name)
+        if entry is None:
+            continue
+        missed += bool(where.found and not entry.found)
+        invented += bool(where.found is False and entry.found)
+        if where.found and entry.found:
+            T, T_true = matrix_from_rt(entry.rt_world_object), matrix_from_rt(where.rt_world_object)
+            rows.append(object_error(T, T_true, entry.covariance, parts.only(found.model, [name])))
+    errors = [("objects.missed", missed, "1"), ("objects.invented", invented, "1")]
+    if rows:
+        mm, deg, sigmas = np.array(rows, float).T
+        errors += [("objects.mm", float(np.median(mm)), "mm"), ("objects.max_mm", float(mm.max()), "mm")]
+        errors += [("objects.deg", float(np.median(deg)), "deg"), ("objects.max_deg", float(deg.max()), "deg")]
+        errors.append(("objects.in_sigmas", float(np.sqrt(np.mean(sigmas**2))), "sigma"))
+    return errors
+
+
+def object_error(T, T_true, covariance, thing):
+    """(mm of the middle, degrees, sqrt(e' C^-1 e / 6)) of T_world_object.  thing : Model of the object as found"""
+    middle = np.append((thing.vertices.min(axis=0) + thing.vertices.max(axis=0)) / 2, 1)
+    best = None
+    for motion in (np.eye(4), *(m.T for m in symmetry.motions(thing) if m.is_exact)):
+        e = T_true @ np.linalg.inv(motion @ T)
+        now = angle_deg(e[:3, :3]), float(1000 * np.linalg.norm((e @ middle - middle)[:3])), e
+        best = now if best is None or now[:2] < best[:2] else best
+    numbers = rt_from_matrix(best[2])
+    squared = np.nan if covariance is None else numbers @ np.linalg.solve(np.array(covariance), numbers)
+    return best[1], best[0], float(np.sqrt(max(squared, 0) / 6))
 
 
 def _calibration(found: Answers, true: Answers):

@@ -52,7 +52,10 @@ def read_glb(path, content) -> Polygons:
 
 
 def _polygons(path, meshes, order):
-    """All meshes in one list of triangles. order : {"objects", "groups"}: names in their order, where a file tells"""
+    """All meshes in one list of triangles.
+
+    order : {"objects", "groups": names in their order, "absent": facets}, where a file tells
+    """
     known = lambda key: {str(name): k for k, name in enumerate(order.get(key, ()))}
     objects, groups = known("objects"), known("groups")
     count = 0
@@ -70,7 +73,9 @@ def _polygons(path, meshes, order):
         raise BadInput(f"{path}: nodes: a transform is not finite")
     corners = np.concatenate(triangles).ravel()
     starts = np.arange(0, len(corners) + 1, 3)
-    return Polygons(p, corners, starts, np.concatenate(owner), np.concatenate(group), list(objects), list(groups))
+    absent = tuple((int(n), int(o), int(g)) for n, o, g in order.get("absent", ()))
+    parts = np.concatenate(owner), np.concatenate(group), list(objects), list(groups)
+    return Polygons(p, corners, starts, *parts, absent)
 
 
 class _Reader:

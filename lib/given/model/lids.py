@@ -66,7 +66,9 @@ def lids(model) -> Lids:
     near = NEAR * float(np.linalg.norm(extent))
     owner = model.facet_object[model.triangle_facet]
     corners = model.corners()
-    first = np.unique(model.triangle_facet, return_index=True)[1]
+    first = np.zeros(model.n_facets, int)  # facets of absent objects have no triangle
+    there, index = np.unique(model.triangle_facet, return_index=True)
+    first[there] = index
     low, high = np.ascontiguousarray(corners.min(axis=1).T), np.ascontiguousarray(corners.max(axis=1).T)
     around = Around(model, owner, corners, low - near, high + near, first)
     order = np.argsort(owner, kind="stable")
@@ -74,6 +76,8 @@ def lids(model) -> Lids:
     found, closed = [], []
     for thing in np.flatnonzero(~model.closed_objects):
         mine = corners[order[start[thing] : start[thing + 1]]]
+        if len(mine) == 0:
+            continue
         loops = _loops(mine)
         if loops is None:
             continue

@@ -1,6 +1,6 @@
 """A model: the triangles of a file's polygons, and the facets that they form."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -123,7 +123,7 @@ def build(path, polygons) -> Model:
     facet_group, groups = _used(pieces.group[source], polygons.groups)
     for array in (vertices, triangles, triangle_facet, normal, offset):
         array.flags.writeable = False
-    return Model(
+    built = Model(
         vertices,
         triangles.astype(np.int32),
         triangle_facet,
@@ -135,6 +135,36 @@ def build(path, polygons) -> Model:
         groups,
         tuple(warnings),
         closed[np.unique(pieces.object[source])],
+    )
+    return _with_absent(path, built, polygons) if polygons.absent else built
+
+
+def _with_absent(path, model, polygons) -> Model:
+    """With the facets of objects that are not there: they have numbers and names, and no triangle."""
+    number, thing, group = np.array(polygons.absent).T
+    total = model.n_facets + len(number)
+    if not (np.unique(number).size == len(number) and number.min() >= 0 and number.max() < total):
+        raise BadInput(f"{path}: extras.absent: facets {number.tolist()} of {total}")
+    there = np.setdiff1d(np.arange(total), number)
+    objects, groups = tuple(polygons.objects), tuple(polygons.groups)
+    of = lambda names, all_names, index: np.array([all_names.index(name) for name in names], np.int32)[index]
+    facet_object, facet_group = np.zeros(total, np.int32), np.zeros(total, np.int32)
+    facet_object[there] = of(model.objects, objects, model.facet_object)
+    facet_group[there] = of(model.groups, groups, model.facet_group)
+    facet_object[number], facet_group[number] = thing, group
+    normal, offset = np.tile([0.0, 0.0, 1.0], (total, 1)), np.zeros(total)
+    normal[there], offset[there] = model.facet_normal, model.facet_offset
+    closed = np.array([name in model.objects and model.closed_objects[model.objects.index(name)] for name in objects])
+    return replace(
+        model,
+        triangle_facet=there[model.triangle_facet].astype(np.int32),
+        facet_object=facet_object,
+        facet_group=facet_group,
+        facet_normal=normal,
+        facet_offset=offset,
+        objects=objects,
+        groups=groups,
+        closed_objects=closed,
     )
 
 

@@ -20,6 +20,7 @@ class Polygons(NamedTuple):
     group: np.ndarray  # (P,) int: index into groups
     objects: list  # names
     groups: list  # names
+    absent: tuple = ()  # facets that are left out and keep their numbers: (number, object, group), by number
 
 
 class Pieces(NamedTuple):

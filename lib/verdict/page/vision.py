@@ -48,6 +48,7 @@ class Vision:
     calibration: records.Calibration | None = None
     orientation: records.Orientation | None = None
     facet_names: list = field(default_factory=list)
+    middles: dict = field(default_factory=dict)  # object -> (3,) m, world
 
 
 class Wire(NamedTuple):
@@ -68,6 +69,10 @@ def see(*, model=None, cameras, pose=None, **files) -> Vision:
     if model:
         of_facets = zip(model.facet_object, model.facet_group, strict=True)
         vision.facet_names = [f"{model.objects[o]}, {model.groups[g]}" for o, g in of_facets]
+        owner, corners = model.facet_object[model.triangle_facet], model.corners()
+        for thing in np.unique(owner):
+            p = corners[owner == thing].reshape(-1, 3)
+            vision.middles[model.objects[thing]] = (p.min(axis=0) + p.max(axis=0)) / 2
         if pose and len(cameras) == 2:
             vision.wires = wires(model, cameras, pose)
     return vision
@@ -353,7 +358,25 @@ def pose_section(vision: Vision, width):
         said=sentence("; ".join(said)),
         result=result and _wires_over(photographs, [result], width, colour="#ffe14d"),
         steps=_wires_over(photographs, steps, min(width, 480)),
+        objects=[_object_row(name, o, vision.middles.get(name)) for name, o in (vision.pose.objects or {}).items()],
     )
+
+
+def _object_row(name, where, middle):
+    """(name, what is said of it, where its middle is, how far it is turned).  middle : (3,) m, world, or None"""
+    if not where.found:
+        return name, "absent" if where.found is False else "not to be told", "", ""
+    rt = np.array(where.rt_world_object)
+    turned, at = f"{number(np.degrees(np.linalg.norm(rt[:3])), 3)}°", ""
+    if middle is not None:
+        at = "[" + ", ".join(f"{x:.4f}" for x in middle) + "] m"
+    if where.covariance is None or middle is None:
+        return name, "found", at, turned
+    C, (x, y, z) = np.array(where.covariance), middle
+    follows = np.column_stack([[[0, z, -y], [-z, 0, x], [y, -x, 0]], np.eye(3)])  # the middle, by omega and tau
+    mm = 1000 * np.sqrt(np.trace(follows @ C @ follows.T))
+    degrees = np.degrees(np.sqrt(np.trace(C[:3, :3])))
+    return name, f"known to {number(degrees, 2)}° and {number(mm, 2)} mm (1 σ)", at, turned
 
 
 def _wires_over(photographs, wires, width, **options):

@@ -54,13 +54,14 @@ class Refined:
 WITNESS = 10  # samples that share their error, about
 
 
-def _solve(rig, T, scale, found, sigma, free, prior, iterations=6):
+def _solve(rig, T, scale, found, sigma, free, prior, iterations=6, basis=None):
     """Levenberg-Marquardt on correspondences, with a Geman-McClure loss of width 2.5 sigma.
 
     found : [(p, q, normal, offset, weight)] per side; sigma : px; free : the scale too; prior : (H, T0, scale0) or None
+    basis : (6, k), the steps that are allowed, or None for all; H and J are then of k numbers, and there is no prior
     Returns T, scale, the normal matrix, and [(J, residuals, robust weights)] per side.
     """
-    size = 7 if free else 6
+    size = basis.shape[1] if basis is not None else 7 if free else 6
     width = 2.5 * sigma
 
     def linearise(T, scale, jacobian):
@@ -83,6 +84,7 @@ def _solve(rig, T, scale, found, sigma, free, prior, iterations=6):
             robust = weight / (1 + u) ** 2
             if jacobian:
                 J = np.einsum("ni,nik->nk", normal, dq)
+                J = J if basis is None else J @ basis
                 H += (robust[:, None] * J).T @ J
                 b += (robust * r) @ J
                 parts.append((J, r, robust))
@@ -93,6 +95,7 @@ def _solve(rig, T, scale, found, sigma, free, prior, iterations=6):
     for _ in range(iterations):
         A = H + damping * np.diag(np.diag(H) + 1e-12)
         delta = -np.linalg.lstsq(A, b, rcond=1e-14)[0]
+        delta = delta if basis is None else basis @ delta
         T_new, scale_new = step(T, scale, delta)
         new_cost = linearise(T_new, scale_new, False)[2]
         if new_cost > cost:
@@ -112,7 +115,20 @@ def _solve(rig, T, scale, found, sigma, free, prior, iterations=6):
 
 
 def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, prior=None):
+    """`fit_edges` of the model's visible edges."""
+
+    def sampled(T, scale, factor, reach):
+        see = lambda camera: visible_samples(model, edges, camera, factor, step_px=3.0, reach=reach)
+        return [see(camera) for camera in rig.cameras(T, scale)]
+
+    return fit_edges(sampled, rig, pyramids, T, scale, free, schedule, trace, prior)
+
+
+def fit_edges(sampled, rig, pyramids, T, scale, free, schedule, trace, prior=None, basis=None):
     """Runs a schedule [(factor, reach px)]; appends to the trace.
+
+    sampled : (T, scale, factor, reach px) -> Samples per side, whose p are in the frame that T takes to the left
+    camera: the world, or an object        basis : of `_solve`, for an object that slides on its support
 
     Returns T, scale and the last Fit, or None in its place where there were too few samples.
     """
@@ -121,12 +137,8 @@ def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, 
         final = number == len(schedule) - 1
         samples, drawn = None, None
         for _ in range(12 if final else 4):
-            cameras = rig.cameras(T, scale)
             if drawn is None or moved_px(rig, drawn, T, scale) > 0.3 * factor:
-                samples = [
-                    visible_samples(model, edges, camera, factor, step_px=3.0, reach=max(int(reach) + 1, 5))
-                    for camera in cameras
-                ]
+                samples = sampled(T, scale, factor, max(int(reach) + 1, 5))
                 drawn = (T, scale)
             found, at = [], []
             for side, s in enumerate(samples):
@@ -150,7 +162,9 @@ def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, 
                 trace[-1]["error_px"] = float(np.sqrt(np.mean(r**2)))
             sigma = max(1.4826 * float(np.median(np.abs(r))), 0.08 * factor)
             before = (T, scale)
-            T, scale, H, parts = _solve(rig, T, scale, found, sigma, free, prior if factor > 1 or reach > 5 else None)
+            T, scale, H, parts = _solve(
+                rig, T, scale, found, sigma, free, prior if factor > 1 or reach > 5 else None, 6, basis
+            )
             last = Fit(H, parts, at, [(f[0], f[2]) for f in found])
             trace.append(point(trace, T, rms(parts), factor=factor, samples=len(r)))
             if moved_px(rig, before, T, scale) < (0.01 if final else 0.1) * factor:
@@ -158,7 +172,7 @@ def _edges_method(model, edges, rig, pyramids, T, scale, free, schedule, trace, 
     return T, scale, last
 
 
-def _covariance(fit):
+def covariance_by_edges(fit):
     """Of the step, by clusters: errors along one edge go together, whatever their cause (lens, light, the model).
 
     So each edge is one witness, and the covariance is the jackknife's over edges. Leaving edge e out moves the solution
@@ -323,7 +337,7 @@ def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px
     covariance = (
         pose.covariance[:6, :6]
         if fit is None
-        else (_covariance(fit) + _lens_covariance(fit, held, T, scale, lens_px))[:6, :6]
+        else (covariance_by_edges(fit) + _lens_covariance(fit, held, T, scale, lens_px))[:6, :6]
     )
     return Refined(
         rig.cameras(T, scale), covariance, scale, rms(fit.parts) if fit else None, support, chance, evidence, trace

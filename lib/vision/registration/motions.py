@@ -82,7 +82,10 @@ class World:
         owner = model.facet_object[model.triangle_facet]
         corners = model.corners()
         self.corners = [corners[owner == thing].reshape(-1, 3) for thing in range(len(model.objects))]
+        absent = np.array([len(p) == 0 for p in self.corners])  # objects that are not there are not moved
+        self.corners = [p if len(p) else np.zeros((1, 3)) for p in self.corners]
         self.span = np.array([np.linalg.norm(np.ptp(p, axis=0)) for p in self.corners])
+        self.span[absent] = np.inf
         self.middle = np.array([(p.min(axis=0) + p.max(axis=0)) / 2 for p in self.corners])
         whole = np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))
         named = np.isin(model.objects, list(fixed))
