@@ -9,7 +9,7 @@ import pytest
 from lib.given import cameras, image
 from lib.given.cameras import Camera
 from lib.vision import matching
-from lib.vision.facets import borders, contours, sides, uncertainty
+from lib.vision.facets import borders, contours, overlap, overlap_kernels, sides, uncertainty
 from lib.vision.facets import contours_kernels as kernels
 from lib.vision.facets import planes as facets
 from lib.vision.facets.contours_kernels import Border
@@ -70,7 +70,7 @@ def test_a_side_that_is_not_the_facets_is_in_sigma():
     for off, wider in ((0.0, (1, 3)), (0.5, (100, 1e4))):
         moved = rows.copy()
         moved[part == 0, kernels.RESIDUAL] += off / 0.02
-        x = contours._normal_equations(np.zeros(3), np.zeros(2), 40.0, moved, 6)
+        x = contours.measured_at(np.zeros(3), np.zeros(2), 40.0, moved, 6)
         covariance = np.linalg.inv(x.A)
         step = -covariance @ x.b
         held = uncertainty.held_by_sides(x, 0.0, covariance, step)
@@ -638,3 +638,94 @@ def test_stage_traces_pairs_that_give_no_plane(run, pair_files, tmp_path):
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["status"] == "nothing reconstructed" and len(report["trace"]) == 5
     assert report["trace"][-1]["planes"] == 0 and report["trace"][-1]["borders_apart_px"] is None
+
+
+# -- the paper's way
+
+
+def carried(Q, label):
+    """(Stereo, arguments of mutual_overlap after the plane, true plane, arguments of overlap_plane) of one label."""
+    pair = matching.stereo(Q.left, Q.right)
+    views = matching.views(pair, Q.labels, Q.values)
+    regions = [matching.regions(view) for view in views]
+    uv0 = tuple(regions[0].centre[label - 1])
+    both = (
+        overlap.carried(regions[0], views[0], views[1], label, label, uv0),
+        overlap.carried(regions[1], views[1], views[0], label, label, uv0),
+    )
+    true = np.linalg.inv(facets._m_from_disparity(pair, uv0)) @ Q.m[label]
+    return pair, (uv0, *both, pair.f_px), true, (regions, views, uv0)
+
+
+def test_mutual_overlap_by_hand():
+    """A square on a plane across the axes, 4 px of disparity: all of it overlaps; 2 px off, (16 - 2) / (16 + 2) px."""
+    left, right = parallel(64, 64, 100.0, 0.1)
+    labels = np.ones((64, 64), np.int32)
+    labels[20:36, 30:46] = 2
+    labels = (labels, np.roll(labels, -4, 1))
+    values = tuple(x[..., None] / 2.0 for x in labels)
+    Q = pairs.Quads(left, right, values, labels, np.array([[0, 0, 0], [0, 0, 0.4], [0, 0, 0.4]]))
+    _, given, true, _ = carried(Q, 2)
+    np.testing.assert_allclose(true, [0, 0, 4])
+    assert overlap_kernels.mutual_overlap(true, *given) == pytest.approx(1)
+    for off in (-2.0, 2.0):
+        assert overlap_kernels.mutual_overlap(true + [0, 0, off], *given) == pytest.approx(14 / 18)
+    assert overlap_kernels.mutual_overlap(true + [0, 0, 1.5], *given) == pytest.approx(14.5 / 17.5)
+    assert overlap_kernels.mutual_overlap(true + [0, 0, 30], *given) == 0
+    assert overlap_kernels.mutual_overlap(np.array([0.95, 0, 4]), *given) == 0  # near the right camera's centre
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_maximum_of_the_overlap(seed):
+    """From the ends of rows and from the truth the same maximum; none of the truth's neighbours overlaps more."""
+    Q = pairs.quads(seed)
+    for label in range(1, 7):
+        pair, given, true, (regions, views, uv0) = carried(Q, label)
+        start, _, _ = matching.outline_plane(*regions, label - 1, label - 1)
+        start = start + [0, 0, start[0] * uv0[0] + start[1] * uv0[1]]
+        (plane, value), (_, again) = (
+            overlap.overlap_plane(regions, views, label, label, [begin], uv0, pair.f_px, 60.0, 200)
+            for begin in (start, true)
+        )
+        assert value == pytest.approx(again, abs=3e-4)
+        assert value >= overlap_kernels.mutual_overlap(true, *given)
+        unit = np.array([60, 60, 1.0])
+        for step in np.random.default_rng(seed).normal(0, 0.5, (20, 3)):
+            assert overlap_kernels.mutual_overlap(true + step / unit, *given) <= value + 1e-9
+        assert np.abs((plane - true) * unit).max() < 0.8  # whole pixels
+
+
+def test_overlap_and_least_squares_find_the_same_planes():
+    """The paper's way within its own sigma; sub-pixel borders are ten times as near."""
+    errors = {}
+    for method in facets.METHODS:
+        chi, errors[method] = [], []
+        for seed in range(6):
+            Q = pairs.quads(seed)
+            both = np.arange(1, 7)
+            pair, values = matching.stereo(Q.left, Q.right), Q.noisy(0.01, np.random.default_rng(seed))
+            found = facets.reconstruct(pair, Q.labels, values, both, both, method=method).facets
+            assert len(found) >= 5
+            chi += [chi2(x, Q.m[x.left_label]) for x in found]
+            errors[method] += [np.linalg.norm(x.m - Q.m[x.left_label]) / np.linalg.norm(x.m) for x in found]
+        assert np.median(chi) < 4
+    assert np.median(errors["overlap"]) < 0.03
+    assert np.median(errors["least-squares"]) < np.median(errors["overlap"]) / 5
+
+
+def test_stage_takes_the_papers_way(run, refuses, pair_files, tmp_path):
+    Q = pairs.quads(2)
+    words = [*pair_files(Q), "--matches", tmp_path / "matches.csv"]
+    run("stages/match.py", *words)
+    words += ["--facets", tmp_path / "facets.json", "--mesh", tmp_path / "facets.ply", "--report", tmp_path / "r.json"]
+    (line,) = refuses("stages/reconstruct.py", *words, "--method", "mirror")
+    assert "mirror" in line and not (tmp_path / "facets.json").exists()
+    result = run("stages/reconstruct.py", *words, "--method", "overlap")
+    assert result.returncode == 0, result.stderr
+    found = json.loads((tmp_path / "facets.json").read_text())["facets"]
+    assert len(found) >= 5 and {x["by"] for x in found} == {"contour"}
+    assert [x["step"] for x in json.loads((tmp_path / "r.json").read_text())["trace"]] == [
+        "outline",
+        "overlap",
+        "sides",
+    ]

@@ -166,10 +166,11 @@ def contour_plane(plane, uv0, size, left: Border, right: Border, part, iteration
     left, part = Border(*(np.ascontiguousarray(x[keep]) for x in left)), part[keep]
     plane, n = kernels.fit_contours(plane, uv0, size, 1.0, iterations, left, part, right, rows)
     rows = rows[:n][rows[:n, WEIGHT] > 0.1]
-    return _normal_equations(plane, uv0, size, rows, n_parts) if len(rows) >= LEAST_POINTS else None
+    return measured_at(plane, uv0, size, rows, n_parts) if len(rows) >= LEAST_POINTS else None
 
 
-def _normal_equations(plane, uv0, size, rows, n_parts):
+def measured_at(plane, uv0, size, rows, n_parts) -> Measured:
+    """The normal equations of a table of border points (n, kernels.COLUMNS) at a plane."""
     J, e, w = rows[:, :3] / [size, size, 1], rows[:, RESIDUAL], rows[:, WEIGHT]
     part, one = rows[:, PART].astype(int), 1 / rows[:, SIGMA]
     sums = lambda x: np.bincount(part, w * x, n_parts)

@@ -10,7 +10,8 @@ least-squares system per facet collects
     contours      where the region's border lies, to a part of a pixel, in both pictures, along its normal
     intensities   the texture inside, left against right, with a gain and an offset per channel
 
-Each is weighed by its own noise, and the inverse of the system is the covariance.
+Each is weighed by its own noise, and the inverse of the system is the covariance. The paper's own way, the plane of
+maximal mutual overlap, is kept beside it (`method`, see overlap.py).
 """
 
 from collections.abc import Callable
@@ -20,19 +21,21 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.vision import matching
-from lib.vision.facets import uncertainty
+from lib.vision.facets import overlap, uncertainty
 from lib.vision.facets.borders import Borders, borders, noise
 from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, parts
 from lib.vision.facets.intensities import smoothed_levels, texture_plane
 from lib.vision.facets.outlines import outline
 from lib.vision.facets.sides import MOST_SLOPE, lines
 
+METHODS = ("least-squares", "overlap")
 LEAST_OVERLAP = 0.6
 LEAST_ROWS = 6  # ends of rows, for a plane to start from
 LEAST_SIDES = 0.1  # share of its straight sides that must agree with a plane, less those behind it
 THIN = 5.0  # px: of thinner regions both borders lie in one blur
 LOOSE = np.radians(4)  # sigma of the tilt from which a facet is marked: it says where a plane is, hardly how it lies
 MOST_TILT = 0.2  # rad: the normal must be known better than this, and the distance better than this part of it
+SIMPLEX = 5  # steps of the overlap's search for each iteration of a fit
 TWO_PLANES = 0.14  # of the ends of rows may lie on one other plane, not counting its longest line
 
 
@@ -98,6 +101,7 @@ def reconstruct(
     left,
     right,
     *,
+    method: str = "least-squares",
     iterations: int = 30,
     intensities: bool = True,
     progress: Callable | None = None,
@@ -106,19 +110,22 @@ def reconstruct(
     """The planes of the pairs of regions (left[k], right[k]).
 
     labels : two (H, W) int;  values : two (H, W, C) in [0, 1]
+    method : of METHODS; "overlap" looks at the regions' whole pixels alone
     iterations : of the contours' fits, at most;  intensities : also measure the texture inside
     progress : called with the share of the work that is done
-    trace : called with (step, number of pairs that have a plane, apart) after each step: outline, contours, texture
-        (once for each level, coarse to fine), sides. apart() measures how far the borders are apart: the median over
-        the pairs, px, None where there is none. It takes time that is not the reconstruction's.
+    trace : called with (step, number of pairs that have a plane, apart) after each step: outline, contours (or
+        overlap), texture (once for each level, coarse to fine), sides. apart() measures how far the borders are apart:
+        the median over the pairs, px, None where there is none. It takes time that is not the reconstruction's.
     """
     progress = progress or (lambda share: None)
     trace = trace or (lambda step, planes, apart: None)
     sight = _look(pair, labels, values, left, right)
     fits = [_start(sight, int(l), int(r)) for l, r in zip(left, right, strict=True)]
     _trace_fits(trace, "outline", sight, fits)
-    levels = smoothed_levels(pair, values, sight.noise_left) if intensities else []
-    steps = [("contours", lambda fit: _fit_contours(sight, fit, iterations))]
+    borders_alone = not intensities or method == "overlap"
+    levels = [] if borders_alone else smoothed_levels(pair, values, sight.noise_left)
+    of_borders = _fit_overlap if method == "overlap" else _fit_contours
+    steps = [("overlap" if method == "overlap" else "contours", lambda fit: of_borders(sight, fit, iterations))]
     steps += [("texture", lambda fit, level=level: _fit_texture(sight, fit, level)) for level in levels]
     for s, (name, step) in enumerate(steps):
         for k, fit in enumerate(fits):
@@ -126,7 +133,8 @@ def reconstruct(
             progress((s + (k + 1) / len(fits)) / len(steps))
         _trace_fits(trace, name, sight, fits)
 
-    measured, side_sigma = _with_uncertainty([fit if isinstance(fit, str) else fit.measured() for fit in fits])
+    least = overlap.WHOLE_PX if method == "overlap" else 0.0
+    measured, side_sigma = _with_uncertainty([fit if isinstance(fit, str) else fit.measured() for fit in fits], least)
     _trace_measured(trace, sight, left, right, measured)
     found, refused = [], []
     for l, r, x in zip(left, right, measured, strict=True):
@@ -138,12 +146,12 @@ def reconstruct(
     return Reconstruction(found, refused, side_sigma)
 
 
-def _with_uncertainty(measured):
-    """[(Measured, sigma of its sides) or why not], and the sigma of sides of the whole pair; px."""
-    factor = uncertainty.together([x for x in measured if isinstance(x, Measured)])
+def _with_uncertainty(measured, least):
+    """[(Measured, sigma of its sides) or why not], and the sigma of sides of the whole pair, at least `least`; px."""
+    factor = max(uncertainty.together([x for x in measured if isinstance(x, Measured)]), 1.0 if least else 0.0)
     measured = [x.widened(factor) if isinstance(x, Measured) else x for x in measured]
     known = [x for x in measured if isinstance(x, Measured)]
-    sigma, ordinary = uncertainty.side_sigma(known), uncertainty.ordinary_rms(known)
+    sigma, ordinary = max(uncertainty.side_sigma(known), least), uncertainty.ordinary_rms(known)
     own = lambda x: uncertainty.own_side_sigma(x, sigma, ordinary)
     return [(x, own(x)) if isinstance(x, Measured) else x for x in measured], sigma
 
@@ -224,15 +232,36 @@ def _start(sight, l, r):
     return _Fit(l, r, plane + [0, 0, plane[0] * u0 + plane[1] * v0], (u0, v0), size)
 
 
+def _starts(sight, fit):
+    """Sides of the left outline, the lines they are in space (or None), and the planes to start from."""
+    left, right = sight.edges[0].of(fit.l), sight.edges[1].of(fit.r)
+    (q, _), (q_right, _) = sight.edges[0].of_photograph(fit.l), sight.edges[1].of_photograph(fit.r)
+    part = parts(sight.views[0].labels, fit.l, q)
+    found = lines(left, right, part, parts(sight.views[1].labels, fit.r, q_right), fit.uv0)
+    return part, found, [fit.plane] if found is None else found.starts(fit.plane, left, fit.size)
+
+
+def _fit_overlap(sight, fit, iterations):
+    """The plane of maximal mutual overlap, from the same starts."""
+    part, found, starts = _starts(sight, fit)
+    steps = SIMPLEX * iterations
+    plane, _ = overlap.overlap_plane(
+        sight.regions, sight.views, fit.l, fit.r, starts, fit.uv0, sight.pair.f_px, fit.size, steps
+    )
+    edges = sight.edges[0].of(fit.l), sight.edges[1].of(fit.r)
+    contours = overlap.measured(plane, fit.uv0, fit.size, *edges, part)
+    if found and found.score(plane[None])[0] < LEAST_SIDES:
+        contours = None
+    return replace(fit, contours=contours, plane=plane)
+
+
 def _fit_contours(sight, fit, iterations):
     """The borders' plane, and the pixels where the texture is to be measured."""
     left, right = sight.edges[0].of(fit.l), sight.edges[1].of(fit.r)
-    (q, _), (q_right, _) = sight.edges[0].of_photograph(fit.l), sight.edges[1].of_photograph(fit.r)
+    q, _ = sight.edges[0].of_photograph(fit.l)
     labels = sight.views[0].labels
-    part = parts(labels, fit.l, q)
-    found = lines(left, right, part, parts(sight.views[1].labels, fit.r, q_right), fit.uv0)
+    part, found, starts = _starts(sight, fit)
     fitted = lambda start, own=None: contour_plane(start, fit.uv0, fit.size, left, right, part, iterations, own)
-    starts = [fit.plane] if found is None else found.starts(fit.plane, left, fit.size)
     tried = [fitted(start) for start in starts]
     tried += [fitted(start, found.own(start, part.max() + 1)) for start in starts[1:]]
     tried = [x for x in tried if x is not None]
@@ -282,11 +311,11 @@ def _facet(sight, l, r, x, sigma_side):
         return "through a camera's centre"
     if matching.another_plane(*sight.regions, l - 1, r - 1, plane) > TWO_PLANES:
         return "borders of two planes"
-    overlap = matching.mutual_overlap(sight.regions, sight.views, l - 1, r - 1, plane, pair.f_px)
-    if overlap < LEAST_OVERLAP:
+    covered = matching.mutual_overlap(sight.regions, sight.views, l - 1, r - 1, plane, pair.f_px)
+    if covered < LEAST_OVERLAP:
         return "overlap: left does not cover right"
     by = "contour" if x.texture is None else "both" if x.points else "texture"
-    return Facet(l, r, m, covariance, polygon, overlap, x.rms_px, by)
+    return Facet(l, r, m, covariance, polygon, covered, x.rms_px, by)
 
 
 def _m_from_disparity(pair, uv0):
