@@ -9,7 +9,7 @@ import pytest
 from lib.given import cameras, image
 from lib.given.cameras import Camera
 from lib.vision import matching
-from lib.vision.facets import borders, contours, overlap, overlap_kernels, sides, uncertainty
+from lib.vision.facets import borders, contours, dense, intensities, overlap, overlap_kernels, sides, uncertainty
 from lib.vision.facets import contours_kernels as kernels
 from lib.vision.facets import planes as facets
 from lib.vision.facets.contours_kernels import Border
@@ -255,9 +255,9 @@ def test_chessboards():
 
 
 @pytest.mark.outside
-@pytest.mark.parametrize("scene, weight, least", [("venus", "auto", 0.40), ("sawtooth", "1", 0.30)])
-def test_middlebury(scene, weight, least, run, tmp_path):
-    """From the photographs through the stages: the facets' median disparity error, and how much they cover."""
+@pytest.mark.parametrize("scene", ["venus", "sawtooth"])
+def test_middlebury(scene, run, tmp_path):
+    """From the photographs through the stages: the facets' disparity errors, and how much they cover."""
     folder = DATA / scene
     of = lambda what, left, right: [f"--{what}", left, f"--{what}-right", right]
     photographs = of("photograph", folder / "left.png", folder / "right.png")
@@ -274,7 +274,7 @@ def test_middlebury(scene, weight, least, run, tmp_path):
         tmp_path / "m.csv",
     ]
     for stage in (
-        ["stages/segment.py", *photographs, *regions, "--lambda", weight],
+        ["stages/segment.py", *photographs, *regions],
         ["stages/surfaces.py", *photographs, *regions, *surfaces],
         ["stages/match.py", *more],
         [
@@ -299,8 +299,10 @@ def test_middlebury(scene, weight, least, run, tmp_path):
         )
         error.append(np.abs(disparity - truth[here])[truth[here] > 0])
         covered += here.sum()
-    assert covered / labels.size >= least
-    assert np.median(np.concatenate(error)) <= 0.25
+    error = np.concatenate(error)
+    assert covered / labels.size >= 0.40
+    assert np.median(error) <= 0.1 and (error > 1).mean() <= 0.05
+    assert {x["by"] for x in found} == {"contour", "texture", "both"}
 
 
 # -- at the edge
@@ -395,6 +397,105 @@ def test_noise_is_no_texture():
         matching.stereo(Q.left, Q.right), Q.labels, values, np.array([1]), np.array([1])
     )
     assert not found or chi2(found[0], Q.m[1]) < 3 * CHI2_95  # what the outline alone says may stand
+
+
+# -- dense stereo
+
+
+def levels_of(Q, values):
+    """(Stereo, views, coarse level) of a pair."""
+    pair = matching.stereo(Q.left, Q.right)
+    sigma = borders.noise(values[0], Q.labels[0])
+    return pair, matching.views(pair, Q.labels, values), intensities.smoothed_levels(pair, values, sigma)[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dense_stereo_finds_a_textured_plane(seed):
+    """Without any start, to the tenth of a pixel that whole-pixel matching leaves, and within its own sigma."""
+    Q = pairs.textured(seed)
+    values = Q.noisy(0.005, np.random.default_rng(seed))
+    pair, views, level = levels_of(Q, values)
+    pixels = np.flatnonzero(Q.labels[0].ravel() == 1)
+    shown = dense.textured(level, pixels)
+    assert len(shown) > 0.5 * len(pixels)
+    uv0 = np.array([views[0].u.ravel()[pixels].mean(), views[0].v.ravel()[pixels].mean()])
+    true = np.linalg.inv(facets._m_from_disparity(pair, uv0)) @ Q.m[1]
+    all_of_it = dense.disparities(pair, views, values, (0, 2 * true[2]))
+    found = all_of_it.plane(shown, uv0, 40.0, np.random.default_rng(0))
+    assert found.apart(true) < 0.25
+    e = (found.plane - true) * [40, 40, 1]
+    assert e @ found.A @ e < 3 * CHI2_95
+    assert found.apart(found.plane + [0, 0, 2.0]) == pytest.approx(2)
+    level = intensities.smoothed_levels(pair, values, 0.005)[0]
+    alike = lambda plane: intensities.alike(views, pair.f_px, level, 1, pixels, plane, uv0)
+    assert alike(found.plane) == pytest.approx(1, abs=0.15) and alike(found.plane + [0, 0, 6]) < 0.5
+
+
+def test_two_planes_are_not_one():
+    """Disparities of a fold: neither half has seven tenths of the pixels."""
+    v, u = np.mgrid[:80, :120].astype(float)
+    folded = dense.Disparities(u, v, 20 + 0.3 * np.abs(u - 60))
+    pixels, rng = np.arange(u.size), np.random.default_rng(0)
+    assert folded.plane(pixels, (60.0, 40.0), 40.0, rng) is None
+    flat = dense.Disparities(u, v, np.where(u < 20, np.nan, 20 + 0.1 * u + 0.05 * v))
+    np.testing.assert_allclose(flat.plane(pixels, (60.0, 40.0), 40.0, rng).plane, [0.1, 0.05, 28], atol=1e-9)
+    assert flat.plane(pixels[:50], (60.0, 40.0), 40.0, rng) is None  # too few
+    hardly = dense.Disparities(u, v, np.where(u < 60, np.nan, 20.0))
+    assert hardly.plane(pixels, (60.0, 40.0), 40.0, rng) is None  # half of them have none
+
+
+@pytest.mark.parametrize("steep", [0.05, 0.6])
+def test_light_and_noise_are_no_texture(steep):
+    """A lamp's pool of light over a wall, however steep, and noise: nothing to match. Stripes are."""
+    Q = pairs.textured(0)
+    height, width = Q.labels[0].shape
+    y, x = np.mgrid[:height, :width] / width
+    light = 0.2 + steep * (x - 0.3) ** 3 + steep * np.exp(-((x - 0.5) ** 2 + (y - 0.4) ** 2) / 0.3)
+    rng = np.random.default_rng(0)
+    wall = lambda extra: [np.ascontiguousarray((light + extra + rng.normal(0, 0.01, light.shape))[..., None])] * 2
+    pixels = np.flatnonzero(Q.labels[0].ravel() == 1)
+    _, _, level = levels_of(Q, wall(0))
+    assert len(dense.textured(level, pixels)) == 0
+    _, _, level = levels_of(Q, wall(0.1 * np.sin(60 * x)))
+    assert len(dense.textured(level, pixels)) > 0.3 * len(pixels)
+
+
+def test_noise_is_that_of_plain_tiles():
+    """A picture textured on eight parts of ten; one that is plain; one that is black or white on half."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:240, :320]
+    labels, white = np.ones((240, 320), int), 0.5 + rng.normal(0, 0.01, (240, 320, 1))
+    texture = white + np.where(x < 256, 0.2 * np.sin(x / 1.5) * np.sin(y / 1.7), 0)[..., None]
+    noise = borders.noise(texture, labels)
+    assert noise > 0.03
+    assert borders.noise_without_texture(texture, labels, noise) == pytest.approx(0.01, rel=0.15)
+    plain = borders.noise(white, labels)
+    assert 0.85 * plain < borders.noise_without_texture(white, labels, plain) <= plain
+    clipped = np.where(x[..., None] < 160, 1.0, white)
+    assert borders.noise_without_texture(clipped, labels, plain) == pytest.approx(0.01, rel=0.15)
+    assert borders.noise_without_texture(white[:40, :40], labels[:40, :40], plain) == plain  # too few tiles
+
+
+def test_texture_outvotes_a_false_outline():
+    """A printed picture's edge that moves with another disparity in the right photograph: the texture's plane wins."""
+    Q = pairs.textured(1, contrast=0.3)
+    values = Q.noisy(0.004, np.random.default_rng(0))
+    frame = lambda label: label == 1
+    shifted = [Q.labels[0], np.where(np.roll(frame(Q.labels[1]), 3, 1), 1, 2).astype(np.int32)]
+    for v, label in zip(values, shifted, strict=True):  # a bright line drawn along the region's border
+        edge = cv2_edge(frame(label))
+        v[edge] = 1.0
+    pair = matching.stereo(Q.left, Q.right)
+    (found,), _, _ = facets.reconstruct(pair, shifted, values, np.array([1]), np.array([1]))
+    assert found.by == "texture" and angle_deg(found.m, Q.m[1]) < 1
+    assert np.linalg.norm(found.m) == pytest.approx(np.linalg.norm(Q.m[1]), rel=5e-3)
+
+
+def cv2_edge(mask):
+    """(H, W) bool: a line of 3 px just outside a region."""
+    import cv2
+
+    return (cv2.dilate(mask.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0) & ~mask
 
 
 # -- from outside

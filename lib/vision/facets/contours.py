@@ -89,6 +89,7 @@ class Measured:
     points, rms_px            number of border points, how far borders lie apart (weighted)
     rows                      (points, kernels.COLUMNS)
     texture                   (plane, A) of the intensities, or None
+    planar                    dense stereo shows one plane all over the region
     """
 
     plane: np.ndarray
@@ -104,6 +105,7 @@ class Measured:
     rms_px: float
     rows: np.ndarray
     texture: tuple | None = None
+    planar: bool = False
 
     @classmethod
     def nothing(cls, plane, uv0, size: float):
@@ -134,14 +136,14 @@ class Measured:
         )
 
 
-def away(shape, pixels, q) -> np.ndarray:
-    """Those of the flat pixels that are at least 4 px from all q (n, 2)."""
+def away(shape, pixels, q, px: int) -> np.ndarray:
+    """Those of the flat pixels that are more than `px` from all q (n, 2)."""
     import cv2
 
     near = np.zeros(shape, np.uint8)
     i = np.round(q).astype(int)
     near[i[:, 1].clip(0, shape[0] - 1), i[:, 0].clip(0, shape[1] - 1)] = 1
-    near = cv2.dilate(near, np.ones((7, 7), np.uint8))
+    near = cv2.dilate(near, np.ones((2 * px + 1, 2 * px + 1), np.uint8))
     return pixels[near.ravel()[pixels] == 0]
 
 
