@@ -26,6 +26,12 @@ def options():
         may_read="orientation",
         writes="facets mesh",
     )
+    parser.add_argument(
+        "--method",
+        choices=("least-squares", "overlap"),
+        default="least-squares",
+        help="borders to a part of a pixel and texture, or the paper's maximal mutual overlap of the two regions",
+    )
     return parser
 
 
@@ -60,7 +66,7 @@ def main(opt):
 
         with report.timing("reconstruct"):
             found, refused, side_sigma_px = facets.reconstruct(
-                pair, labels, values, left, right, progress=stage.Bar("facets"), trace=trace
+                pair, labels, values, left, right, method=opt.method, progress=stage.Bar("facets"), trace=trace
             )
 
         report["facets"], report["refused"] = len(found), outlines.reasons(refused)

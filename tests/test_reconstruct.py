@@ -9,7 +9,7 @@ import pytest
 from lib.given import cameras, image
 from lib.given.cameras import Camera
 from lib.vision import matching
-from lib.vision.facets import borders, contours, sides, uncertainty
+from lib.vision.facets import borders, contours, dense, intensities, overlap, overlap_kernels, sides, uncertainty
 from lib.vision.facets import contours_kernels as kernels
 from lib.vision.facets import planes as facets
 from lib.vision.facets.contours_kernels import Border
@@ -70,7 +70,7 @@ def test_a_side_that_is_not_the_facets_is_in_sigma():
     for off, wider in ((0.0, (1, 3)), (0.5, (100, 1e4))):
         moved = rows.copy()
         moved[part == 0, kernels.RESIDUAL] += off / 0.02
-        x = contours._normal_equations(np.zeros(3), np.zeros(2), 40.0, moved, 6)
+        x = contours.measured_at(np.zeros(3), np.zeros(2), 40.0, moved, 6)
         covariance = np.linalg.inv(x.A)
         step = -covariance @ x.b
         held = uncertainty.held_by_sides(x, 0.0, covariance, step)
@@ -255,9 +255,9 @@ def test_chessboards():
 
 
 @pytest.mark.outside
-@pytest.mark.parametrize("scene, weight, least", [("venus", "auto", 0.40), ("sawtooth", "1", 0.30)])
-def test_middlebury(scene, weight, least, run, tmp_path):
-    """From the photographs through the stages: the facets' median disparity error, and how much they cover."""
+@pytest.mark.parametrize("scene", ["venus", "sawtooth"])
+def test_middlebury(scene, run, tmp_path):
+    """From the photographs through the stages: the facets' disparity errors, and how much they cover."""
     folder = DATA / scene
     of = lambda what, left, right: [f"--{what}", left, f"--{what}-right", right]
     photographs = of("photograph", folder / "left.png", folder / "right.png")
@@ -274,7 +274,7 @@ def test_middlebury(scene, weight, least, run, tmp_path):
         tmp_path / "m.csv",
     ]
     for stage in (
-        ["stages/segment.py", *photographs, *regions, "--lambda", weight],
+        ["stages/segment.py", *photographs, *regions],
         ["stages/surfaces.py", *photographs, *regions, *surfaces],
         ["stages/match.py", *more],
         [
@@ -299,8 +299,10 @@ def test_middlebury(scene, weight, least, run, tmp_path):
         )
         error.append(np.abs(disparity - truth[here])[truth[here] > 0])
         covered += here.sum()
-    assert covered / labels.size >= least
-    assert np.median(np.concatenate(error)) <= 0.25
+    error = np.concatenate(error)
+    assert covered / labels.size >= 0.40
+    assert np.median(error) <= 0.1 and (error > 1).mean() <= 0.05
+    assert {x["by"] for x in found} == {"contour", "texture", "both"}
 
 
 # -- at the edge
@@ -395,6 +397,105 @@ def test_noise_is_no_texture():
         matching.stereo(Q.left, Q.right), Q.labels, values, np.array([1]), np.array([1])
     )
     assert not found or chi2(found[0], Q.m[1]) < 3 * CHI2_95  # what the outline alone says may stand
+
+
+# -- dense stereo
+
+
+def levels_of(Q, values):
+    """(Stereo, views, coarse level) of a pair."""
+    pair = matching.stereo(Q.left, Q.right)
+    sigma = borders.noise(values[0], Q.labels[0])
+    return pair, matching.views(pair, Q.labels, values), intensities.smoothed_levels(pair, values, sigma)[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dense_stereo_finds_a_textured_plane(seed):
+    """Without any start, to the tenth of a pixel that whole-pixel matching leaves, and within its own sigma."""
+    Q = pairs.textured(seed)
+    values = Q.noisy(0.005, np.random.default_rng(seed))
+    pair, views, level = levels_of(Q, values)
+    pixels = np.flatnonzero(Q.labels[0].ravel() == 1)
+    shown = dense.textured(level, pixels)
+    assert len(shown) > 0.5 * len(pixels)
+    uv0 = np.array([views[0].u.ravel()[pixels].mean(), views[0].v.ravel()[pixels].mean()])
+    true = np.linalg.inv(facets._m_from_disparity(pair, uv0)) @ Q.m[1]
+    all_of_it = dense.disparities(pair, views, values, (0, 2 * true[2]))
+    found = all_of_it.plane(shown, uv0, 40.0, np.random.default_rng(0))
+    assert found.apart(true) < 0.25
+    e = (found.plane - true) * [40, 40, 1]
+    assert e @ found.A @ e < 3 * CHI2_95
+    assert found.apart(found.plane + [0, 0, 2.0]) == pytest.approx(2)
+    level = intensities.smoothed_levels(pair, values, 0.005)[0]
+    alike = lambda plane: intensities.alike(views, pair.f_px, level, 1, pixels, plane, uv0)
+    assert alike(found.plane) == pytest.approx(1, abs=0.15) and alike(found.plane + [0, 0, 6]) < 0.5
+
+
+def test_two_planes_are_not_one():
+    """Disparities of a fold: neither half has seven tenths of the pixels."""
+    v, u = np.mgrid[:80, :120].astype(float)
+    folded = dense.Disparities(u, v, 20 + 0.3 * np.abs(u - 60))
+    pixels, rng = np.arange(u.size), np.random.default_rng(0)
+    assert folded.plane(pixels, (60.0, 40.0), 40.0, rng) is None
+    flat = dense.Disparities(u, v, np.where(u < 20, np.nan, 20 + 0.1 * u + 0.05 * v))
+    np.testing.assert_allclose(flat.plane(pixels, (60.0, 40.0), 40.0, rng).plane, [0.1, 0.05, 28], atol=1e-9)
+    assert flat.plane(pixels[:50], (60.0, 40.0), 40.0, rng) is None  # too few
+    hardly = dense.Disparities(u, v, np.where(u < 60, np.nan, 20.0))
+    assert hardly.plane(pixels, (60.0, 40.0), 40.0, rng) is None  # half of them have none
+
+
+@pytest.mark.parametrize("steep", [0.05, 0.6])
+def test_light_and_noise_are_no_texture(steep):
+    """A lamp's pool of light over a wall, however steep, and noise: nothing to match. Stripes are."""
+    Q = pairs.textured(0)
+    height, width = Q.labels[0].shape
+    y, x = np.mgrid[:height, :width] / width
+    light = 0.2 + steep * (x - 0.3) ** 3 + steep * np.exp(-((x - 0.5) ** 2 + (y - 0.4) ** 2) / 0.3)
+    rng = np.random.default_rng(0)
+    wall = lambda extra: [np.ascontiguousarray((light + extra + rng.normal(0, 0.01, light.shape))[..., None])] * 2
+    pixels = np.flatnonzero(Q.labels[0].ravel() == 1)
+    _, _, level = levels_of(Q, wall(0))
+    assert len(dense.textured(level, pixels)) == 0
+    _, _, level = levels_of(Q, wall(0.1 * np.sin(60 * x)))
+    assert len(dense.textured(level, pixels)) > 0.3 * len(pixels)
+
+
+def test_noise_is_that_of_plain_tiles():
+    """A picture textured on eight parts of ten; one that is plain; one that is black or white on half."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:240, :320]
+    labels, white = np.ones((240, 320), int), 0.5 + rng.normal(0, 0.01, (240, 320, 1))
+    texture = white + np.where(x < 256, 0.2 * np.sin(x / 1.5) * np.sin(y / 1.7), 0)[..., None]
+    noise = borders.noise(texture, labels)
+    assert noise > 0.03
+    assert borders.noise_without_texture(texture, labels, noise) == pytest.approx(0.01, rel=0.15)
+    plain = borders.noise(white, labels)
+    assert 0.85 * plain < borders.noise_without_texture(white, labels, plain) <= plain
+    clipped = np.where(x[..., None] < 160, 1.0, white)
+    assert borders.noise_without_texture(clipped, labels, plain) == pytest.approx(0.01, rel=0.15)
+    assert borders.noise_without_texture(white[:40, :40], labels[:40, :40], plain) == plain  # too few tiles
+
+
+def test_texture_outvotes_a_false_outline():
+    """A printed picture's edge that moves with another disparity in the right photograph: the texture's plane wins."""
+    Q = pairs.textured(1, contrast=0.3)
+    values = Q.noisy(0.004, np.random.default_rng(0))
+    frame = lambda label: label == 1
+    shifted = [Q.labels[0], np.where(np.roll(frame(Q.labels[1]), 3, 1), 1, 2).astype(np.int32)]
+    for v, label in zip(values, shifted, strict=True):  # a bright line drawn along the region's border
+        edge = cv2_edge(frame(label))
+        v[edge] = 1.0
+    pair = matching.stereo(Q.left, Q.right)
+    (found,), _, _ = facets.reconstruct(pair, shifted, values, np.array([1]), np.array([1]))
+    assert found.by == "texture" and angle_deg(found.m, Q.m[1]) < 1
+    assert np.linalg.norm(found.m) == pytest.approx(np.linalg.norm(Q.m[1]), rel=5e-3)
+
+
+def cv2_edge(mask):
+    """(H, W) bool: a line of 3 px just outside a region."""
+    import cv2
+
+    return (cv2.dilate(mask.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0) & ~mask
 
 
 # -- from outside
@@ -679,3 +780,94 @@ def test_sides_of_holes_are_told():
     assert hole.any() and not hole.all() and not contours.in_holes(labels, 2).any()
     q = np.array([[29.5, 30.0], [69.5, 30.0]])
     assert hole[contours.parts(labels, 1, q)].tolist() == [True, False]
+
+
+# -- the paper's way
+
+
+def carried(Q, label):
+    """(Stereo, arguments of mutual_overlap after the plane, true plane, arguments of overlap_plane) of one label."""
+    pair = matching.stereo(Q.left, Q.right)
+    views = matching.views(pair, Q.labels, Q.values)
+    regions = [matching.regions(view) for view in views]
+    uv0 = tuple(regions[0].centre[label - 1])
+    both = (
+        overlap.carried(regions[0], views[0], views[1], label, label, uv0),
+        overlap.carried(regions[1], views[1], views[0], label, label, uv0),
+    )
+    true = np.linalg.inv(facets._m_from_disparity(pair, uv0)) @ Q.m[label]
+    return pair, (uv0, *both, pair.f_px), true, (regions, views, uv0)
+
+
+def test_mutual_overlap_by_hand():
+    """A square on a plane across the axes, 4 px of disparity: all of it overlaps; 2 px off, (16 - 2) / (16 + 2) px."""
+    left, right = parallel(64, 64, 100.0, 0.1)
+    labels = np.ones((64, 64), np.int32)
+    labels[20:36, 30:46] = 2
+    labels = (labels, np.roll(labels, -4, 1))
+    values = tuple(x[..., None] / 2.0 for x in labels)
+    Q = pairs.Quads(left, right, values, labels, np.array([[0, 0, 0], [0, 0, 0.4], [0, 0, 0.4]]))
+    _, given, true, _ = carried(Q, 2)
+    np.testing.assert_allclose(true, [0, 0, 4])
+    assert overlap_kernels.mutual_overlap(true, *given) == pytest.approx(1)
+    for off in (-2.0, 2.0):
+        assert overlap_kernels.mutual_overlap(true + [0, 0, off], *given) == pytest.approx(14 / 18)
+    assert overlap_kernels.mutual_overlap(true + [0, 0, 1.5], *given) == pytest.approx(14.5 / 17.5)
+    assert overlap_kernels.mutual_overlap(true + [0, 0, 30], *given) == 0
+    assert overlap_kernels.mutual_overlap(np.array([0.95, 0, 4]), *given) == 0  # near the right camera's centre
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_maximum_of_the_overlap(seed):
+    """From the ends of rows and from the truth the same maximum; none of the truth's neighbours overlaps more."""
+    Q = pairs.quads(seed)
+    for label in range(1, 7):
+        pair, given, true, (regions, views, uv0) = carried(Q, label)
+        start, _, _ = matching.outline_plane(*regions, label - 1, label - 1)
+        start = start + [0, 0, start[0] * uv0[0] + start[1] * uv0[1]]
+        (plane, value), (_, again) = (
+            overlap.overlap_plane(regions, views, label, label, [begin], uv0, pair.f_px, 60.0, 200)
+            for begin in (start, true)
+        )
+        assert value == pytest.approx(again, abs=3e-4)
+        assert value >= overlap_kernels.mutual_overlap(true, *given)
+        unit = np.array([60, 60, 1.0])
+        for step in np.random.default_rng(seed).normal(0, 0.5, (20, 3)):
+            assert overlap_kernels.mutual_overlap(true + step / unit, *given) <= value + 1e-9
+        assert np.abs((plane - true) * unit).max() < 0.8  # whole pixels
+
+
+def test_overlap_and_least_squares_find_the_same_planes():
+    """The paper's way within its own sigma; sub-pixel borders are ten times as near."""
+    errors = {}
+    for method in facets.METHODS:
+        chi, errors[method] = [], []
+        for seed in range(6):
+            Q = pairs.quads(seed)
+            both = np.arange(1, 7)
+            pair, values = matching.stereo(Q.left, Q.right), Q.noisy(0.01, np.random.default_rng(seed))
+            found = facets.reconstruct(pair, Q.labels, values, both, both, method=method).facets
+            assert len(found) >= 5
+            chi += [chi2(x, Q.m[x.left_label]) for x in found]
+            errors[method] += [np.linalg.norm(x.m - Q.m[x.left_label]) / np.linalg.norm(x.m) for x in found]
+        assert np.median(chi) < 4
+    assert np.median(errors["overlap"]) < 0.03
+    assert np.median(errors["least-squares"]) < np.median(errors["overlap"]) / 5
+
+
+def test_stage_takes_the_papers_way(run, refuses, pair_files, tmp_path):
+    Q = pairs.quads(2)
+    words = [*pair_files(Q), "--matches", tmp_path / "matches.csv"]
+    run("stages/match.py", *words)
+    words += ["--facets", tmp_path / "facets.json", "--mesh", tmp_path / "facets.ply", "--report", tmp_path / "r.json"]
+    (line,) = refuses("stages/reconstruct.py", *words, "--method", "mirror")
+    assert "mirror" in line and not (tmp_path / "facets.json").exists()
+    result = run("stages/reconstruct.py", *words, "--method", "overlap")
+    assert result.returncode == 0, result.stderr
+    found = json.loads((tmp_path / "facets.json").read_text())["facets"]
+    assert len(found) >= 5 and {x["by"] for x in found} == {"contour"}
+    assert [x["step"] for x in json.loads((tmp_path / "r.json").read_text())["trace"]] == [
+        "outline",
+        "overlap",
+        "sides",
+    ]

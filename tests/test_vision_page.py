@@ -10,7 +10,7 @@ from lib.core import record
 from lib.given import cameras
 from lib.given import model as models
 from lib.verdict import records
-from lib.verdict.page import build, vision
+from lib.verdict.page import build, space, vision
 from lib.verdict.page.parts import Parts
 from lib.vision import facets_file
 from tests.helpers.html import sane
@@ -91,7 +91,9 @@ def test_everything_is_shown(office):
     name = f"{model.objects[model.facet_object[3]]}, {model.groups[model.facet_group[3]]}"
     sigma = 3**2 * 1e-3  # of z = 1 / m_z, at the facet's middle 3 m away, almost straight ahead
     (row,) = page.section("Facets in space").one("table").rows()
-    assert row[:2] == ["2", "3.000"] and float(row[2]) == pytest.approx(sigma, rel=0.1) and row[3:] == ["93 %", name]
+    assert row[:2] == ["2", "3.000"] and float(row[2]) == pytest.approx(sigma, rel=0.1)
+    beyond = float(row.pop().replace("\u2212", "-"))
+    assert row[3:] == ["93 %", "–", name] and beyond == pytest.approx(seen(office).beyond_m[2], abs=6e-4)
     assert [caption.text for caption in page.section("Where the camera is").all("figcaption")] == [
         "Left, after iteration 1: 0.2 px",
         "Right, after iteration 1: 0.2 px",
@@ -108,6 +110,9 @@ def test_everything_is_shown(office):
         "Left: 53 % of the picture is matched",
         "Right: 47 % of the picture is matched",
     ]
+    views = [caption.text for caption in page.section("Facets in space").all("figcaption")][2:]
+    assert len(views) == 3 and views[0].startswith("From above")
+    assert all(picture.attributes["alt"] for picture in page.all("img"))
     assert len(page.all("svg")) == 6  # facets, result and linear step over both photographs
 
 
@@ -121,12 +126,64 @@ def test_wireframes_are_where_the_model_is(office):
     assert visible[ends[:, 1], ends[:, 0]].mean() > 0.99 and len(wire) > 50
 
 
+def of_the_model(office, facet, factor=1.0):
+    """A facet of facets.json that is one of the model's as the left camera sees it, `factor` times as far away."""
+    model, left, _ = office
+    vertices = np.unique(model.vertices[model.triangles[model.triangle_facet == facet]].reshape(-1, 3), axis=0)
+    T = left.T_cam_world
+    polygon = factor * (vertices @ T[:3, :3].T + T[:3, 3])
+    n = T[:3, :3] @ model.facet_normal[facet]
+    return {
+        "left_label": 2,
+        "plane": {"n": n.tolist(), "d": float(n @ polygon[0])},
+        "polygon": polygon.tolist(),
+        "overlap": 1.0,
+        "covariance": (np.eye(3) * 1e-6).tolist(),
+    }
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.9])
+@pytest.mark.parametrize("scale", [None, 0.4])
+def test_facets_lie_against_the_model(office, factor, scale):
+    """A true facet lies on its place of the model; one that is a tenth too near is drawn and said to be so."""
+    facet = of_the_model(office, 3, factor)
+    if scale:  # in baselines
+        facet["polygon"] = (np.array(facet["polygon"]) / scale).tolist()
+    unit = "baseline" if scale else "m"
+    pose = files(office)["pose"] | {"scale": scale}
+    found = seen(office, facets={"frame": "left", "unit": unit, "facets": [facet]}, pose=pose)
+    (ring,) = found.in_space.facets
+    assert found.in_space.matched == [True]
+    middle = ring.mean(axis=0)
+    assert found.beyond_m[2] == pytest.approx(np.linalg.norm(middle) * (1 / factor - 1), abs=1e-9)
+    corners = np.concatenate([found.in_space.model, found.in_space.seen]).reshape(-1, 3)
+    nearest = np.linalg.norm(corners - ring[:, None] / factor, axis=2).min(axis=1)
+    assert nearest.max() < 1e-9 and len(found.in_space.seen) > 20
+
+
+def test_views_of_space_are_across_the_axis(office):
+    """What is moved along the left camera's axis moves up the picture from above, and to the left from its left."""
+    found = seen(office).in_space
+    square = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0.0]])
+    place = lambda axes, p: axes[:2] @ p
+    for axes, ahead in ((space.ABOVE, [0, -1]), (space.SIDE, [-1, 0])):
+        np.testing.assert_allclose(place(axes, np.array([0, 0, 1.0])), ahead, atol=1e-12)
+    for _, axes in space.VIEWS:
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(axes) == pytest.approx(1)
+        picture = space.drawn(found._replace(facets=[square + [0, 0, 3]], matched=[True]), axes, 300)
+        assert picture.shape[1] == 300 and 90 <= picture.shape[0] <= 300
+        assert (picture == space.MATCHED).all(axis=2).sum() > 50  # its outline
+        assert not (picture == space.OTHER).all(axis=2).any()
+    assert space.views(found._replace(facets=[], matched=[]), 300) == []
+
+
 @pytest.mark.parametrize(
     "missing, titles, pictures",
     [
-        ("photographs", ["Regions", "Facets in space", "Where the camera is"], 6),
-        ("regions", ["Regions", "Facets in space", "Where the camera is"], 10),
-        ("surfaces", ["Regions", "Facets in space", "Where the camera is"], 8),
+        ("photographs", ["Regions", "Facets in space", "Where the camera is"], 9),
+        ("regions", ["Regions", "Facets in space", "Where the camera is"], 13),
+        ("surfaces", ["Regions", "Facets in space", "Where the camera is"], 11),
         ("cameras", ["Regions", "Facets in space", "Where the camera is"], 6),
     ],
 )

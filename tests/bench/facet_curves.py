@@ -3,8 +3,8 @@
     $ tests/bench/facet_curves.py build/bench
 
 Scenes: exact quadrilaterals with 1 % noise, and a textured plane whose region has no visible border. Methods: `outline`
-is the whole-pixel plane of the row ends that matching uses (overlap only), `contours` adds borders to a part of a
-pixel, `all` the intensities inside. Each with up to so many iterations.
+is the whole-pixel plane of the row ends that matching uses, `overlap` the paper's maximal mutual overlap, `contours`
+borders to a part of a pixel, `all` adds the intensities inside. Each with up to so many iterations.
 """
 
 import csv
@@ -21,7 +21,7 @@ if __name__ == "__main__":
 import numpy as np  # noqa: E402  after the number of threads and the path
 
 HEAD = ("scene", "method", "iterations", "cpu_s_per_facet", "median_error", "p90_error", "planes")
-METHODS = (("outline", 0), *((method, i) for method in ("contours", "all") for i in (1, 2, 4, 8, 16, 30)))
+METHODS = (("outline", 0), *((method, i) for method in ("overlap", "contours", "all") for i in (1, 2, 4, 8, 16, 30)))
 SEEDS = 12
 
 
@@ -44,8 +44,10 @@ def _planes(method, iterations, pair, labels, values, wanted):
 
     if method == "outline":
         return _outline(pair, labels, values, wanted)
-    both = method == "all"
-    found = facets.reconstruct(pair, labels, values, wanted, wanted, iterations=iterations, intensities=both).facets
+    way = "overlap" if method == "overlap" else "least-squares"
+    found = facets.reconstruct(
+        pair, labels, values, wanted, wanted, method=way, iterations=iterations, intensities=method == "all"
+    ).facets
     return {x.left_label: x.m for x in found}
 
 
@@ -79,7 +81,7 @@ def measure(log):
 
 def plot(rows, axes):
     for ax, scene in zip(axes, ("quads", "textured"), strict=True):
-        for method, style in (("outline", "ks"), ("contours", "C1-o"), ("all", "C0-o")):
+        for method, style in (("outline", "ks"), ("overlap", "C2-o"), ("contours", "C1-o"), ("all", "C0-o")):
             mine = [r for r in rows if r[0] == scene and r[1] == method]
             if mine:
                 ax.loglog([r[3] for r in mine], [r[4] for r in mine], style, ms=4, label=method)

@@ -13,6 +13,7 @@ import numpy as np
 from lib.buffers import edges, index_buffer
 from lib.given.cameras import matrix_from_rt
 from lib.verdict import records
+from lib.verdict.page import space
 from lib.verdict.page.html import css, finite, number, plural, render, sentence
 from lib.verdict.page.pictures import colours, labels_uri, on_scale, photo_uri, smaller, uri
 from lib.vision import facets_file
@@ -34,6 +35,7 @@ class Vision:
     photographs : {side: (H, W, C) display values};
     regions, surfaces : {side: (H, W) labels from 1}
     cameras : {side: Camera} in the pair's frame;  wires : [Wire], the linear step first
+    in_space : the facets and the model, from the pose;  beyond_m : {left label: of its facet of the model, see beyond}
     matches : [(left label, right label, similarity)];  facet_names : of the model's facets, "object, group"
     """
 
@@ -42,6 +44,8 @@ class Vision:
     surfaces: dict = field(default_factory=dict)
     cameras: dict = field(default_factory=dict)
     wires: list = field(default_factory=list)
+    in_space: space.Scene | None = None
+    beyond_m: dict = field(default_factory=dict)
     matches: list | None = None
     facets: facets_file.Facets | None = None
     pose: records.Pose | None = None
@@ -52,11 +56,15 @@ class Vision:
 
 
 class Wire(NamedTuple):
-    """The model in both photographs from one pose of a trace; left, right : (S, 2, 2) px, ends of its visible edges."""
+    """The model in both photographs from one pose of a trace; left, right : (S, 2, 2) px, ends of its visible edges.
+
+    seen : numbers of the facets that they show
+    """
 
     title: str
     left: np.ndarray
     right: np.ndarray
+    seen: np.ndarray
 
     def on(self, side):
         """That of a side."""
@@ -75,6 +83,9 @@ def see(*, model=None, cameras, pose=None, **files) -> Vision:
             vision.middles[model.objects[thing]] = (p.min(axis=0) + p.max(axis=0)) / 2
         if pose and len(cameras) == 2:
             vision.wires = wires(model, cameras, pose)
+            if vision.facets:
+                vision.in_space = space.scene(model, vision.facets.facets, pose, cameras, vision.wires[-1].seen)
+                vision.beyond_m = beyond(model, vision.facets.facets, pose)
     return vision
 
 
@@ -108,22 +119,23 @@ def sections(vision: Vision, width):
 
 
 class Overlay(NamedTuple):
-    """A photograph with lines over it. path : SVG;  labels : [(x, y, text)], px;  size : W, H"""
+    """A photograph with lines over it. path : SVG;  labels : [(x, y, text)], px;  size : W, H;  alt : in words"""
 
     picture: str
+    alt: str
     size: tuple
     path: str
     labels: list
     colour: str
 
 
-def overlay(photograph, lines, width, *, closed=False, labels=(), colour="#fff"):
+def overlay(photograph, alt, lines, width, *, closed=False, labels=(), colour="#fff"):
     """lines : [(n, 2) px];  labels : [((x, y) px, text)]"""
     H, W = photograph.shape[:2]
     end = "Z" if closed else ""
     path = "".join("M" + "L".join(f"{x + 0.5:.1f} {y + 0.5:.1f}" for x, y in line) + end for line in lines)
     places = [(f"{x + 0.5:.1f}", f"{y + 0.5:.1f}", text) for (x, y), text in labels]
-    return Overlay(photo_uri(photograph, width), (W, H), path, places, colour)
+    return Overlay(photo_uri(photograph, width), alt, (W, H), path, places, colour)
 
 
 # ---- lenses ----
@@ -232,18 +244,20 @@ def _matched_uri(match, n_matches, width):
 class FacetRow(NamedTuple):
     """distance, sigma : at the middle of the facet, along the camera's axis, in the pair's unit
 
-    model : name of the model's facet
+    model : name of the model's facet;  beyond : it lies so far beyond the middle, in the pair's unit
     """
 
     label: int
     distance: float
     sigma: float | None
     overlap: float | None
+    by: str
     model: str
+    beyond: float | None
 
 
 def facets_section(vision: Vision, width):
-    """Figure 2.4: the reconstructed facets over both photographs; their distance and how well it is known."""
+    """Figures 2.4 and 2.5: the facets over both photographs and against the model; how well their distance is known."""
     if not (vision.facets and vision.facets.facets):
         return ""
     facets = vision.facets.facets
@@ -254,9 +268,14 @@ def facets_section(vision: Vision, width):
     ]
     matches = vision.pose.matches if vision.pose else ()
     model_facet = {match.left_label: match.facet for match in matches}
-    rows = [_facet_row(f, _facet_name(vision, model_facet.get(f.left_label))) for f in facets]
+    rows = [_facet_row(vision, f, _facet_name(vision, model_facet.get(f.left_label))) for f in facets]
     return render(
-        "facets.html", drawn=drawn, rows=rows, unit=UNITS.get(vision.facets.unit, ""), opened=len(rows) <= FEW
+        "facets.html",
+        drawn=drawn,
+        views=space.views(vision.in_space, min(width, 720)) if vision.in_space else [],
+        rows=rows,
+        unit=UNITS.get(vision.facets.unit, ""),
+        opened=len(rows) <= FEW,
     )
 
 
@@ -265,7 +284,8 @@ def _facets_over(vision: Vision, side, width):
     rings = [project(vision.cameras[side], vision.cameras["left"], f.polygon) for f in facets]
     keep = [(ring, f) for ring, f in zip(rings, facets, strict=True) if np.isfinite(ring).all()]
     labels = [(tuple(ring.mean(0)), f.left_label) for ring, f in keep]
-    return overlay(vision.photographs[side], [ring for ring, _ in keep], width, closed=True, labels=labels)
+    alt = f"The {side} photograph with {len(keep)} reconstructed {plural(len(keep), 'facet')} as wireframes"
+    return overlay(vision.photographs[side], alt, [ring for ring, _ in keep], width, closed=True, labels=labels)
 
 
 def project(camera, left, points):
@@ -274,14 +294,35 @@ def project(camera, left, points):
     return camera.project(np.asarray(points, float) @ T[:3, :3].T + T[:3, 3])
 
 
-def _facet_row(f: facets_file.Facet, name):
+def beyond(model, facets, pose: records.Pose):
+    """{left label: m}: how far beyond the facet's middle, along its ray, the plane of its facet of the model lies."""
+    T = matrix_from_rt(pose.rt_cam_world)
+    middles = {f.left_label: (pose.scale or 1.0) * np.mean(np.asarray(f.polygon, float), axis=0) for f in facets}
+    result = {}
+    for match in pose.matches:
+        if match.left_label in middles and 0 <= (match.facet if match.facet is not None else -1) < model.n_facets:
+            middle, n = middles[match.left_label], T[:3, :3] @ model.facet_normal[match.facet]
+            along = n @ middle / np.linalg.norm(middle)
+            if abs(along) > 1e-6:
+                result[match.left_label] = float((model.facet_offset[match.facet] + n @ T[:3, 3] - n @ middle) / along)
+    return result
+
+
+def _facet_row(vision: Vision, f: facets_file.Facet, name):
     centre = np.mean(np.asarray(f.polygon, float), axis=0)
     ray = centre / centre[2] if centre[2] else centre
     sigma = None
     if f.covariance is not None:
         # of z = 1 / (m . ray), to first order
         sigma = float(np.sqrt(max(ray @ np.asarray(f.covariance, float) @ ray, 0)) * centre[2] ** 2)
-    return FacetRow(f.left_label, float(centre[2]), sigma, f.overlap, name)
+    off = vision.beyond_m.get(f.left_label)
+    return FacetRow(f.left_label, float(centre[2]), sigma, f.overlap, _by(f), name, off)
+
+
+def _by(f: facets_file.Facet):
+    """What told the facet, in words."""
+    words = {"both": "contour and texture"}.get(f.by, f.by or "–")
+    return f"{words}, loose" if f.loose else words
 
 
 def _facet_name(vision: Vision, facet):
@@ -310,17 +351,20 @@ def pose_sigma(pose: records.Pose | None):
 
 
 def wires(model, cameras, pose: records.Pose, most=6):
-    """[Wire]: the trace of a pose as wireframes; of a long one the first, the last and some between.
+    """[Wire]: the trace of a pose as wireframes; of a long one the first three, the last and some between.
 
     cameras : {side: Camera} in the pair's frame
     """
     steps = [step for step in pose.trace if step.rt_cam_world]
     if not steps or steps[-1].rt_cam_world != pose.rt_cam_world:
         steps.append(records.PoseStep(step="result", rt_cam_world=pose.rt_cam_world))
-    keep = sorted({round(i) for i in np.linspace(0, len(steps) - 1, most)})
-    return [
-        Wire(_title(steps[i], i), *(_wireframe(model, cameras, side, steps[i], pose) for side in SIDES)) for i in keep
-    ]
+    last = len(steps) - 1
+    keep = {*range(min(3, last)), *(round(i) for i in np.linspace(min(3, last), last, most - 3))}
+    result = []
+    for i in sorted(keep):
+        (left, seen), (right, seen_right) = (_wireframe(model, cameras, side, steps[i], pose) for side in SIDES)
+        result.append(Wire(_title(steps[i], i), left, right, np.union1d(seen, seen_right)))
+    return result
 
 
 def _title(step: records.PoseStep, i):
@@ -335,7 +379,7 @@ def _wireframe(model, cameras, side, step: records.PoseStep, pose: records.Pose)
     T_side_left[:3, 3] *= step.scale or pose.scale or 1.0  # metres per unit of the pair
     camera = replace(cameras[side], T_cam_world=T_side_left @ matrix_from_rt(step.rt_cam_world))
     buffer = index_buffer.reference(model, camera)
-    return edges.wireframe(model, camera, buffer.facet, buffer.depth)
+    return edges.wireframe(model, camera, buffer.facet, buffer.depth), np.unique(buffer.facet[buffer.facet >= 0])
 
 
 def pose_section(vision: Vision, width):
@@ -382,7 +426,11 @@ def _object_row(name, where, middle):
 def _wires_over(photographs, wires, width, **options):
     """[(side, title, Overlay)]"""
     return [
-        (side, wire.title, overlay(photograph, wire.on(side), width, **options))
+        (side, wire.title, overlay(photograph, _alt(side, wire), wire.on(side), width, **options))
         for wire in wires
         for side, photograph in photographs.items()
     ]
+
+
+def _alt(side, wire):
+    return f"The {side} photograph with the model’s visible edges, {wire.title}"

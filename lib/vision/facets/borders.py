@@ -77,3 +77,34 @@ def noise(values, labels) -> float:
     difference = np.abs(np.concatenate(pairs))
     least = 1 / 255 / np.sqrt(12)
     return float(max(1.4826 * np.median(difference) / np.sqrt(2), least)) if len(difference) > 100 else 1 / 255
+
+
+TILE = 16  # px
+LEAST_PAIRS = 200  # of pixels and channels in a tile
+PLAIN = 0.1  # share of the tiles that show nothing but noise
+
+
+def noise_without_texture(values, labels, noise: float) -> float:
+    """The noise where the picture is plainest, at most `noise`, at least that of rounding to 8 bits.
+
+    In a picture that is textured nearly everywhere `noise` is mostly texture. Tiles that are dark or white all over say
+    nothing: there a camera has no noise.
+    """
+    height, width = (n // TILE * TILE for n in labels.shape)
+    values, labels = values[:height, :width], labels[:height, :width]
+    tiles = lambda x: x.reshape(height // TILE, TILE, width // TILE, TILE).sum(axis=(1, 3))
+    total, pairs = 0.0, 0.0
+    for axis in (0, 1):
+        a, b = (slice(3, None), slice(None)), (slice(None, -3), slice(None))
+        a, b = (a, b) if axis == 0 else (a[::-1], b[::-1])
+        same = np.zeros(labels.shape)
+        same[b] = labels[a] == labels[b]
+        difference = np.zeros(labels.shape)
+        difference[b] = np.abs(values[a] - values[b]).sum(axis=2)
+        total, pairs = total + tiles(difference * same), pairs + tiles(same) * values.shape[2]
+    usable = tiles(((values < 0.01) | (values > 0.99)).any(axis=2).astype(float)) == 0
+    usable &= pairs >= LEAST_PAIRS
+    if usable.sum() < 1 / PLAIN:
+        return noise
+    plainest = np.quantile(total[usable] / pairs[usable], PLAIN) * np.sqrt(np.pi) / 2
+    return float(np.clip(plainest, 1 / 255 / np.sqrt(12), noise))

@@ -100,6 +100,7 @@ class Measured:
     points, rms_px            number of border points, how far borders lie apart (weighted)
     rows                      (points, kernels.COLUMNS)
     texture                   (plane, A) of the intensities, or None
+    planar                    dense stereo shows one plane all over the region
     """
 
     plane: np.ndarray
@@ -115,6 +116,7 @@ class Measured:
     rms_px: float
     rows: np.ndarray
     texture: tuple | None = None
+    planar: bool = False
 
     @classmethod
     def nothing(cls, plane, uv0, size: float):
@@ -145,14 +147,14 @@ class Measured:
         )
 
 
-def away(shape, pixels, q) -> np.ndarray:
-    """Those of the flat pixels that are at least 4 px from all q (n, 2)."""
+def away(shape, pixels, q, px: int) -> np.ndarray:
+    """Those of the flat pixels that are more than `px` from all q (n, 2)."""
     import cv2
 
     near = np.zeros(shape, np.uint8)
     i = np.round(q).astype(int)
     near[i[:, 1].clip(0, shape[0] - 1), i[:, 0].clip(0, shape[1] - 1)] = 1
-    near = cv2.dilate(near, np.ones((7, 7), np.uint8))
+    near = cv2.dilate(near, np.ones((2 * px + 1, 2 * px + 1), np.uint8))
     return pixels[near.ravel()[pixels] == 0]
 
 
@@ -177,10 +179,11 @@ def contour_plane(plane, uv0, size, left: Border, right: Border, part, iteration
     left, part = Border(*(np.ascontiguousarray(x[keep]) for x in left)), part[keep]
     plane, n = kernels.fit_contours(plane, uv0, size, 1.0, iterations, left, part, right, rows)
     rows = rows[:n][rows[:n, WEIGHT] > 0.1]
-    return _normal_equations(plane, uv0, size, rows, n_parts) if len(rows) >= LEAST_POINTS else None
+    return measured_at(plane, uv0, size, rows, n_parts) if len(rows) >= LEAST_POINTS else None
 
 
-def _normal_equations(plane, uv0, size, rows, n_parts):
+def measured_at(plane, uv0, size, rows, n_parts) -> Measured:
+    """The normal equations of a table of border points (n, kernels.COLUMNS) at a plane."""
     J, e, w = rows[:, :3] / [size, size, 1], rows[:, RESIDUAL], rows[:, WEIGHT]
     part, one = rows[:, PART].astype(int), 1 / rows[:, SIGMA]
     sums = lambda x: np.bincount(part, w * x, n_parts)

@@ -117,14 +117,28 @@ def _solve(comparison, plane, size):
 
 def _is_texture(comparison, found):
     """Does the right photograph have the left one's slopes? Noise has not, however steep."""
-    before, after = (comparison.rows(found.plane + [0, 0, shift], found.light) for shift in (-0.5, 0.5))
+    return _alike(comparison, found.plane, found.light) > ALIKE
+
+
+def alike(views: tuple[ViewArrays, ViewArrays], f_px: float, level, r: int, pixels, plane, uv0) -> float:
+    """How much of the left photograph's slopes the right one shows under a plane (a, b, c) at uv0: texture 1, noise 0.
+
+    As texture_plane takes them; 0 where too few pixels say anything
+    """
+    comparison = _Comparison(views, f_px, level, r, pixels, uv0)
+    one = np.ones(comparison.channels)
+    return _alike(comparison, plane, (one, 0 * one))
+
+
+def _alike(comparison, plane, light):
+    before, after = (comparison.rows(plane + [0, 0, shift], light) for shift in (-0.5, 0.5))
     keys = [
         ((x[:, Y] * comparison.width + x[:, X]) * comparison.channels + x[:, CHANNEL]).astype(np.int64)
         for x in (before, after)
     ]
     _, i, j = np.intersect1d(*keys, return_indices=True)
     mine, theirs = before[i, 2], after[j, RESIDUAL] - before[i, RESIDUAL]
-    return len(mine) >= LEAST_EQUATIONS and mine @ theirs > ALIKE * (mine @ mine)
+    return float(mine @ theirs / (mine @ mine)) if len(mine) >= LEAST_EQUATIONS else 0.0
 
 
 def _information(found):

@@ -22,6 +22,10 @@ class LevelArrays(NamedTuple):
     right: np.ndarray
     least: float  # slopes below it say nothing
 
+    def quieter(self, factor):
+        """With a noise that is `factor` times as large."""
+        return self._replace(least=factor * self.least)
+
 
 @njit()
 def texture_rows(plane, centre, pixels, level, left_view, right_view, wanted, f_px, light, rows):

@@ -10,7 +10,8 @@ least-squares system per facet collects
     contours      where the region's border lies, to a part of a pixel, in both pictures, along its normal
     intensities   the texture inside, left against right, with a gain and an offset per channel
 
-Each is weighed by its own noise, and the inverse of the system is the covariance.
+Each is weighed by its own noise, and the inverse of the system is the covariance. The paper's own way, the plane of
+maximal mutual overlap, is kept beside it (`method`, see overlap.py).
 """
 
 from collections.abc import Callable
@@ -20,19 +21,27 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.vision import matching
-from lib.vision.facets import uncertainty
-from lib.vision.facets.borders import Borders, borders, noise
+from lib.vision.facets import overlap, uncertainty
+from lib.vision.facets.borders import Borders, borders, noise, noise_without_texture
 from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, in_holes, parts
-from lib.vision.facets.intensities import smoothed_levels, texture_plane
+from lib.vision.facets.dense import DensePlane, disparities, textured
+from lib.vision.facets.intensities import alike, smoothed_levels, texture_plane
 from lib.vision.facets.outlines import outline
 from lib.vision.facets.sides import MOST_SLOPE, lines
 
+METHODS = ("least-squares", "overlap")
 LEAST_OVERLAP = 0.6
 LEAST_ROWS = 6  # ends of rows, for a plane to start from
 LEAST_SIDES = 0.1  # share of its straight sides that must agree with a plane, less those behind it
 THIN = 5.0  # px: of thinner regions both borders lie in one blur
 LOOSE = np.radians(4)  # sigma of the tilt from which a facet is marked: it says where a plane is, hardly how it lies
+NEAR_PX, BLURRED_PX = 3, 6  # of borders: nearer, texture is not measured, and the borders' blur is taken for texture
+ALIKE = 0.8, 1.25  # of the left photograph's slopes the right one must show under a dense plane
 MOST_TILT = 0.2  # rad: the normal must be known better than this, and the distance better than this part of it
+SIMPLEX = 5  # steps of the overlap's search for each iteration of a fit
+APART_PX = 1.0  # rms: a plane so far from dense stereo's is another's
+PLANAR = 0.85  # of the textured pixels on the dense plane: then ends of rows on another are what hides the region
+DISPARITY = 1.5, 8.0  # times the starts', and px more: how far dense stereo looks
 TWO_PLANES = 0.14  # of the ends of rows may lie on one other plane, not counting its longest line
 
 
@@ -98,6 +107,7 @@ def reconstruct(
     left,
     right,
     *,
+    method: str = "least-squares",
     iterations: int = 30,
     intensities: bool = True,
     progress: Callable | None = None,
@@ -106,27 +116,33 @@ def reconstruct(
     """The planes of the pairs of regions (left[k], right[k]).
 
     labels : two (H, W) int;  values : two (H, W, C) in [0, 1]
+    method : of METHODS; "overlap" looks at the regions' whole pixels alone
     iterations : of the contours' fits, at most;  intensities : also measure the texture inside
     progress : called with the share of the work that is done
-    trace : called with (step, number of pairs that have a plane, apart) after each step: outline, contours, texture
-        (once for each level, coarse to fine), sides. apart() measures how far the borders are apart: the median over
-        the pairs, px, None where there is none. It takes time that is not the reconstruction's.
+    trace : called with (step, number of pairs that have a plane, apart) after each step: outline, contours (or
+        overlap), texture (once for each level, coarse to fine), sides. apart() measures how far the borders are apart:
+        the median over the pairs, px, None where there is none. It takes time that is not the reconstruction's.
     """
     progress = progress or (lambda share: None)
     trace = trace or (lambda step, planes, apart: None)
     sight = _look(pair, labels, values, left, right)
     fits = [_start(sight, int(l), int(r)) for l, r in zip(left, right, strict=True)]
     _trace_fits(trace, "outline", sight, fits)
-    levels = smoothed_levels(pair, values, sight.noise_left) if intensities else []
-    steps = [("contours", lambda fit: _fit_contours(sight, fit, iterations))]
+    borders_alone = not intensities or method == "overlap"
+    levels = [] if borders_alone else smoothed_levels(pair, values, sight.noise_left)
+    of_borders = _fit_overlap if method == "overlap" else _fit_contours
+    steps = [("overlap" if method == "overlap" else "contours", lambda fit: of_borders(sight, fit, iterations))]
     steps += [("texture", lambda fit, level=level: _fit_texture(sight, fit, level)) for level in levels]
     for s, (name, step) in enumerate(steps):
+        if s == 1:  # of the intensities
+            fits = _with_dense(sight, fits, values, labels[0], levels[0])
         for k, fit in enumerate(fits):
             fits[k] = fit if isinstance(fit, str) else step(fit)
             progress((s + (k + 1) / len(fits)) / len(steps))
         _trace_fits(trace, name, sight, fits)
 
-    measured, side_sigma = _with_uncertainty([fit if isinstance(fit, str) else fit.measured() for fit in fits])
+    least = overlap.WHOLE_PX if method == "overlap" else 0.0
+    measured, side_sigma = _with_uncertainty([fit if isinstance(fit, str) else fit.measured() for fit in fits], least)
     _trace_measured(trace, sight, left, right, measured)
     found, refused = [], []
     for l, r, x in zip(left, right, measured, strict=True):
@@ -138,12 +154,12 @@ def reconstruct(
     return Reconstruction(found, refused, side_sigma)
 
 
-def _with_uncertainty(measured):
-    """[(Measured, sigma of its sides) or why not], and the sigma of sides of the whole pair; px."""
-    factor = uncertainty.together([x for x in measured if isinstance(x, Measured)])
+def _with_uncertainty(measured, least):
+    """[(Measured, sigma of its sides) or why not], and the sigma of sides of the whole pair, at least `least`; px."""
+    factor = max(uncertainty.together([x for x in measured if isinstance(x, Measured)]), 1.0 if least else 0.0)
     measured = [x.widened(factor) if isinstance(x, Measured) else x for x in measured]
     known = [x for x in measured if isinstance(x, Measured)]
-    sigma, ordinary = uncertainty.side_sigma(known), uncertainty.ordinary_rms(known)
+    sigma, ordinary = max(uncertainty.side_sigma(known), least), uncertainty.ordinary_rms(known)
     own = lambda x: uncertainty.own_side_sigma(x, sigma, ordinary)
     return [(x, own(x)) if isinstance(x, Measured) else x for x in measured], sigma
 
@@ -178,9 +194,11 @@ class _Fit:
 
     size : px, of the region
     contours : what the borders say, or None
+    dense : the plane of dense stereo, or None
     texture : (plane, A) of the finest level so far, or None
     textured : no level has yet said too little
-    pixels : flat, of the left region, for the texture
+    quieter : the noise where it is textured, over that of the whole photograph, which there is texture, too
+    pixels : flat, of the left region, for the texture;  inner : those that no border's blur reaches
     """
 
     l: int
@@ -189,16 +207,27 @@ class _Fit:
     uv0: tuple[float, float]
     size: float
     contours: Measured | None = None
+    dense: DensePlane | None = None
     texture: tuple | None = None
     textured: bool = True
+    quieter: float = 1.0
     pixels: np.ndarray | None = None
+    inner: np.ndarray | None = None
 
     def measured(self):
-        """Measured, or why not."""
-        if self.contours is None and self.texture is None:
+        """Measured, or why not. Where contour and texture contradict each other, dense stereo decides."""
+        texture = self.texture
+        if self.dense and (texture is None or self.dense.apart(texture[0]) > APART_PX):
+            texture = self.dense.plane, self.dense.A
+        if self.contours is None and texture is None:
             return "borders do not meet"
-        x = self.contours or Measured.nothing(self.plane, self.uv0, self.size)
-        return replace(x, texture=self.texture)
+        nothing = Measured.nothing(self.plane, self.uv0, self.size)
+        x = replace(self.contours or nothing, texture=texture, planar=bool(self.dense) and self.dense.share > PLANAR)
+        if self.dense and self.contours:
+            both = uncertainty.with_sides(x.widened(1.0), 0.0)
+            if uncertainty.disagreement(x, both.A, both.b) > 1:
+                return replace(nothing, texture=texture, planar=x.planar)
+        return x
 
     def best_plane(self):
         """(a, b, c) at uv0 of all that has been measured so far."""
@@ -224,15 +253,36 @@ def _start(sight, l, r):
     return _Fit(l, r, plane + [0, 0, plane[0] * u0 + plane[1] * v0], (u0, v0), size)
 
 
+def _starts(sight, fit):
+    """Sides of the left outline, the lines they are in space (or None), and the planes to start from."""
+    left, right = sight.edges[0].of(fit.l), sight.edges[1].of(fit.r)
+    (q, _), (q_right, _) = sight.edges[0].of_photograph(fit.l), sight.edges[1].of_photograph(fit.r)
+    part = parts(sight.views[0].labels, fit.l, q)
+    found = lines(left, right, part, parts(sight.views[1].labels, fit.r, q_right), fit.uv0)
+    return part, found, [fit.plane] if found is None else found.starts(fit.plane, left, fit.size)
+
+
+def _fit_overlap(sight, fit, iterations):
+    """The plane of maximal mutual overlap, from the same starts."""
+    part, found, starts = _starts(sight, fit)
+    steps = SIMPLEX * iterations
+    plane, _ = overlap.overlap_plane(
+        sight.regions, sight.views, fit.l, fit.r, starts, fit.uv0, sight.pair.f_px, fit.size, steps
+    )
+    edges = sight.edges[0].of(fit.l), sight.edges[1].of(fit.r)
+    contours = overlap.measured(plane, fit.uv0, fit.size, *edges, part)
+    if found and found.score(plane[None])[0] < LEAST_SIDES:
+        contours = None
+    return replace(fit, contours=contours, plane=plane)
+
+
 def _fit_contours(sight, fit, iterations):
     """The borders' plane, and the pixels where the texture is to be measured."""
     left, right = sight.edges[0].of(fit.l), sight.edges[1].of(fit.r)
-    (q, _), (q_right, _) = sight.edges[0].of_photograph(fit.l), sight.edges[1].of_photograph(fit.r)
+    q, _ = sight.edges[0].of_photograph(fit.l)
     labels = sight.views[0].labels
-    part = parts(labels, fit.l, q)
-    found = lines(left, right, part, parts(sight.views[1].labels, fit.r, q_right), fit.uv0)
+    part, found, starts = _starts(sight, fit)
     fitted = lambda start, own=None: contour_plane(start, fit.uv0, fit.size, left, right, part, iterations, own)
-    starts = [fit.plane] if found is None else found.starts(fit.plane, left, fit.size)
     tried = [fitted(start) for start in starts]
     tried += [fitted(start, found.own(start, part.max() + 1)) for start in starts[1:]]
     tried = [x for x in tried if x is not None]
@@ -242,14 +292,42 @@ def _fit_contours(sight, fit, iterations):
     # Texture: wherever no well located border is near, for that is measured already.
     regions = sight.regions[0]
     pixels = regions.order[regions.first[fit.l - 1] : regions.first[fit.l]]
-    pixels = away(labels.shape, pixels, q[left.bend < np.maximum(0.5, 3 * left.sigma)])
-    return replace(fit, contours=contours, plane=contours.plane if contours else fit.plane, pixels=pixels)
+    located = q[left.bend < np.maximum(0.5, 3 * left.sigma)]
+    pixels = away(labels.shape, pixels, located, NEAR_PX)
+    inner = away(labels.shape, pixels, located, BLURRED_PX)
+    return replace(fit, contours=contours, plane=contours.plane if contours else fit.plane, pixels=pixels, inner=inner)
+
+
+def _with_dense(sight, fits, values, labels, level):
+    """The fits with planes of dense stereo, where regions are textured. A contour's plane far from it is not theirs."""
+    quieter = noise_without_texture(values[0], labels, sight.noise_left) / sight.noise_left
+    level = level.quieter(quieter)
+    of = {k: textured(level, fit.inner) for k, fit in enumerate(fits) if not isinstance(fit, str)}
+    of = {k: pixels for k, pixels in of.items() if len(pixels)}
+    if not of:
+        return fits
+    starts = [fit.plane[2] for fit in fits if not isinstance(fit, str)]
+    dense = disparities(sight.pair, sight.views, values, (0, DISPARITY[0] * np.quantile(starts, 0.9) + DISPARITY[1]))
+    rng, fits = np.random.default_rng(0), list(fits)
+    for k, pixels in of.items():
+        fit = fits[k]
+        found = dense.plane(pixels, fit.uv0, fit.size, rng)
+        if found is None:
+            continue
+        shown = alike(sight.views, sight.pair.f_px, level, fit.r, pixels, found.plane, fit.uv0)
+        if not ALIKE[0] < shown < ALIKE[1]:
+            continue
+        if fit.contours is None or found.apart(fit.plane) > APART_PX:
+            fit = replace(fit, contours=None, plane=found.plane)
+        fits[k] = replace(fit, dense=found, quieter=quieter)
+    return fits
 
 
 def _fit_texture(sight, fit, level):
     """The plane of the intensities at one level, from that of the level before. One that says too little ends it."""
     if not fit.textured:
         return fit
+    level = level.quieter(fit.quieter)
     found = texture_plane(sight.views, sight.pair.f_px, level, fit.r, fit.pixels, fit.plane, fit.uv0, fit.size)
     return replace(fit, textured=False, texture=None) if found is None else replace(fit, texture=found, plane=found[0])
 
@@ -284,13 +362,13 @@ def _facet(sight, l, r, x, sigma_side):
     polygon = outline(sight.views[0].labels, l, pair.left, m, *sight.edges[0].of_photograph(l))
     if plane[0] >= MOST_SLOPE or polygon is None:
         return "through a camera's centre"
-    if matching.another_plane(*sight.regions, l - 1, r - 1, plane) > TWO_PLANES:
+    if not x.planar and matching.another_plane(*sight.regions, l - 1, r - 1, plane) > TWO_PLANES:
         return "borders of two planes"
-    overlap = matching.mutual_overlap(sight.regions, sight.views, l - 1, r - 1, plane, pair.f_px)
-    if overlap < LEAST_OVERLAP:
+    covered = matching.mutual_overlap(sight.regions, sight.views, l - 1, r - 1, plane, pair.f_px)
+    if covered < LEAST_OVERLAP:
         return "overlap: left does not cover right"
     by = "contour" if x.texture is None else "both" if x.points else "texture"
-    return Facet(l, r, m, covariance, polygon, overlap, x.rms_px, by)
+    return Facet(l, r, m, covariance, polygon, covered, x.rms_px, by)
 
 
 def _m_from_disparity(pair, uv0):
