@@ -747,7 +747,7 @@ def held_by(part, uv, normal):
     rows[:, 0], rows[:, 1], rows[:, 2] = -(normal[:, :1] * np.column_stack([uv, np.ones(len(uv))])).T / 0.02
     rows[:, kernels.PART], rows[:, kernels.SIGMA], rows[:, kernels.WEIGHT] = part, 0.02, 1
     rows[:, kernels.U], rows[:, kernels.V] = uv.T
-    return contours._normal_equations(np.zeros(3), np.zeros(2), 40.0, rows, int(part.max()) + 1)
+    return contours.measured_at(np.zeros(3), np.zeros(2), 40.0, rows, int(part.max()) + 1)
 
 
 def test_one_line_holds_no_plane():
