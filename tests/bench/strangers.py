@@ -83,7 +83,9 @@ def scored(build, folder):
         for value, wanted, s in zip(got["rho_d"], true["rho_d"], sigma, strict=True):
             relative.append(abs(value / wanted - 1))
             in_sigmas.append(abs(value - wanted) / s if s else 1e9)
+    said = json.loads((folder / "truth" / "deviation.json").read_text())
     return {
+        "curve_rmse": curve_rmse(found["transfer"], said.get("transfer"), build, folder),
         "status": found["status"],
         "causes": [e["cause"] for e in found.get("explained") or []],
         "rivals": [
@@ -100,6 +102,24 @@ def scored(build, folder):
         "kinds": wrong_kinds,
         "cpu_s": cpu_s,
     }
+
+
+def curve_rmse(found, true, build, folder):
+    """RMSE of a curve, display, over the 1st to 99th percentile of the true light of trusted pixels; None of others."""
+    from lib.given import image
+
+    if not true or true.get("kind") != "curve":
+        return None
+    light = image.read_photograph(folder / "truth" / "linear.exr").values
+    trusted = image.read_labels(build / "trusted.png") == 255
+    x = np.linspace(*np.quantile(light[trusted], (0.01, 0.99)), 200)
+    shown = {
+        "gamma": lambda: x ** (1 / found["gamma"]),
+        "curve": lambda: np.interp(x, found["linear"], found["display"]),
+    }
+    if found["kind"] not in shown:
+        return None
+    return float(np.sqrt(np.mean((shown[found["kind"]]() - np.interp(x, true["linear"], true["display"])) ** 2)))
 
 
 def table(rows):
@@ -123,6 +143,8 @@ def table(rows):
             f"{_quantile(times, 0.5):6.1f} {_quantile(times, 1):6.1f}",
         ]
         yield " ".join(shown)
+        if curves := sorted(r["curve_rmse"] for r in all_of if r.get("curve_rmse") is not None):
+            yield f"{'':20s} RMSE of the curve, display: {_quantile(curves, 0.5):.4f}, at most {curves[-1]:.4f}"
         said = Counter(_in_words(r) for r in all_of)
         yield from (f"{'':20s} {number:3d} {words}" for words, number in said.most_common())
 
