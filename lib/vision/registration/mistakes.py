@@ -30,14 +30,14 @@ class Mistake(NamedTuple):
 
 
 def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
-    """The mistake without which the photograph shows most of the edges; None where no known one explains it."""
+    """The mistake without which the photograph tells most for the edges; None where no known one explains it."""
     level = pyramid(photograph, COARSEST)[max(f for f in (1, 2, 4, 8, 16) if f == 1 or camera.width >= f * SEARCH_PX)]
     tried = []
     for cause, text, other, view in _undone(model, camera):
         sight = Registrar(other, view, level).sight(State())
-        share = seen(sight.pieces) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0)
+        share = seen(sight.pieces) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0, 0.0)
         tried.append(Mistake(cause, f"{text}, the photograph has {share.found:.0%} of its edges, not {{}}", share))
-    best = max(tried, key=lambda m: m.seen.found - m.seen.chance)
+    best = max(tried, key=lambda m: m.seen.nats)
     if best.seen.is_lost or best.seen.found < now.found + CLEAR:
         return None
     return best._replace(text=best.text.format(f"{now.found:.0%}"))

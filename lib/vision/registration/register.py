@@ -302,6 +302,13 @@ class Seen(NamedTuple):
         return self.found < self.chance + LOST * (1 - self.chance)
 
     @property
+    def nats(self):
+        """What so many found pieces are worth against chance: of a few that happen to be there little."""
+        found, chance = np.clip([self.found, self.chance], 0.02, 0.98)
+        each = found * np.log(found / chance) + (1 - found) * np.log((1 - found) / (1 - chance))
+        return float(self.pieces * each) if found > chance else 0.0
+
+    @property
     def is_surely_lost(self):
         """Not by chance, of few edges: another place, another model, or other units."""
         unsure = np.sqrt(self.found * (1 - self.found) / max(self.pieces, 1))
