@@ -21,7 +21,7 @@ from lib.vision.refinement.rig import depth
 from lib.vision.registration.motions import World
 
 PRESENT, SURE = 0.7, 20.0  # share of an object's edges, and nats, that say that it is there
-UNSURE, DOUBT = 0.55, 10.0  # with less of either it is absent
+UNSURE = 0.55  # with fewer of its edges it is absent
 LEAST = 12  # edge samples, 5 px apart, that must be visible where it is drawn, for an absence to be told
 NEAR_M, NEAR_RAD = 0.16, np.radians(36)  # what is looked through first
 SPACING_PX = 1.5  # of the reduced picture, between places that are tried
@@ -129,8 +129,8 @@ def _all_sought(job, scenery, things):
         found = _says(fits[thing])
         if found is False and not _can_be_told(job, scenery, thing):
             found = None
-        if found is None and thing not in job.files and fits[thing] is None:
-            scenery = scenery.at(thing, np.eye(4))  # out of sight: as drawn
+        if found is None and thing not in job.files:
+            scenery = scenery.at(thing, np.eye(4))  # nobody knows: as drawn
         placed.append(_placed(job, scenery, thing, found, fits[thing], "file" if thing in job.files else "movable"))
     return placed, scenery
 
@@ -153,8 +153,8 @@ def in_world(T_left_world, covariance, camera_covariance):
 
 
 def _says(fit):
-    """Is it there? True, False, or None for neither."""
-    if fit is None or fit.support < UNSURE or fit.nats < DOUBT:
+    """Is it there? True, False, or None for neither: few edges that are found tell little, and are no absence."""
+    if fit is None or fit.support < UNSURE:
         return False
     return True if fit.support >= PRESENT and fit.nats >= SURE and fit.covariance is not None else None
 
