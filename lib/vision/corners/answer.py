@@ -77,8 +77,11 @@ def _judged(scene, model, sides, db, found, timing, how) -> Judged:
 
 
 def _denied(scene, sides, db, result) -> tuple:
-    """(facets that lie where the model shows something else, those that say yes or no)."""
-    if not len(scene):
+    """(facets that lie where the model shows something else, those that say yes or no).
+
+    None of a pair whose relative pose was estimated: its facets are off by as much as that, which their sigma has not.
+    """
+    if not len(scene) or scene.unit == "baseline":
         return 0, 0
     seen, T = seen_facets(scene, sides[0].camera), result.cameras[0].T_cam_world.copy()
     T[:3, 3] += T[:3, :3] @ db.centre
