@@ -57,8 +57,10 @@ def main(opt):
             from lib.given.model.glb_writer import write_glb
             from lib.vision.objects import words
             from lib.vision.objects.place import place
+            from lib.vision.refinement import rig
         with report.timing("read"):
-            sides = read_sides(opt)
+            files = (opt.camera, opt.photograph), (opt.camera_right, opt.photograph_right)
+            sides = [rig.Side.read(*side) for side in files if all(side)]
             model = models.load(opt.model)
             check_names(opt, model)
             things = read_objects(opt, model)
@@ -110,22 +112,6 @@ def read_objects(opt, model):
             raise stage.BadInput(f"{path}: {path.stem}: is an object of {opt.model} too")
         things[path.stem] = models.load(path)
     return things
-
-
-def read_sides(opt):
-    """[Side] of the left photograph, and of the right one if it is posed."""
-    from lib.given import cameras, image, view
-    from lib.vision.refinement import rig
-
-    sides = []
-    for camera, photograph in ((opt.camera, opt.photograph), (opt.camera_right, opt.photograph_right)):
-        if not (camera and photograph):
-            continue
-        side = rig.Side(cameras.read_cameramodel(camera), image.read_photograph(photograph))
-        if problem := view.size_problem(photograph, side.photograph.values, side.camera, camera):
-            raise stage.BadInput(problem)
-        sides.append(side)
-    return sides
 
 
 if __name__ == "__main__":

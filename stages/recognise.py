@@ -77,12 +77,16 @@ def main(opt):
             from lib.vision import facets_file
             from lib.vision.corners import answer
             from lib.vision.recognition import recognise as recognition
+            from lib.vision.refinement import rig
         with report.excluded("compile"):
             recognition.warm_up()
         with report.timing("read"):
             model = models.load(opt.model)
             scene = facets_file.read_scene(opt.facets)
-            sides = read_sides(opt)
+            sides = [
+                rig.Side.read(opt.camera, opt.photograph, opt.surfaces),
+                rig.Side.read(opt.camera_right, opt.photograph_right, opt.surfaces_right),
+            ]
             calibration = artefact.read_json(opt.calibration) if opt.calibration else None
         if opt.movable:
             if not set(model.objects) - set(opt.movable):
@@ -107,24 +111,6 @@ def main(opt):
             raise stage.BadInput(f"{opt.facets}: facets: {why}")
         tell(report, opt, found, result, zero)
         write(opt, scene, found, result)
-
-
-def read_sides(opt):
-    """[Side, Side]: cameras, photographs and surfaces, their sizes checked against each other."""
-    from lib.given import cameras, image, view
-    from lib.vision.refinement import rig
-
-    left = opt.camera, opt.photograph, opt.surfaces
-    right = opt.camera_right, opt.photograph_right, opt.surfaces_right
-    sides = [
-        rig.Side(cameras.read_cameramodel(camera), image.read_photograph(photograph), image.read_labels(surfaces))
-        for camera, photograph, surfaces in (left, right)
-    ]
-    for (camera, photograph, surfaces), side in zip((left, right), sides, strict=True):
-        for path, values in ((photograph, side.photograph.values), (surfaces, side.surfaces)):
-            if problem := view.size_problem(path, values, side.camera, camera):
-                raise stage.BadInput(problem)
-    return sides
 
 
 def tell(report, opt, found, result, zero):

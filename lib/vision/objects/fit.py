@@ -24,12 +24,16 @@ class Support:
     normal: np.ndarray
     point: np.ndarray
 
+    @property
+    def _along(self):
+        """Two unit vectors (3,) in the plane, across each other."""
+        u = np.cross(self.normal, np.eye(3)[np.argmin(np.abs(self.normal))])
+        u /= np.linalg.norm(u)
+        return u, np.cross(self.normal, u)
+
     def basis(self, T_left_world):
         """(6, 3) steps (omega, tau) along the left camera's axes: two slides, and a turn about the normal."""
-        R = T_left_world[:3, :3]
-        a = np.eye(3)[np.argmin(np.abs(self.normal))]
-        u = np.cross(self.normal, a) / np.linalg.norm(np.cross(self.normal, a))
-        v = np.cross(self.normal, u)
+        R, (u, v) = T_left_world[:3, :3], self._along
         c, n = R @ self.point + T_left_world[:3, 3], R @ self.normal
         columns = [np.append(np.zeros(3), R @ u), np.append(np.zeros(3), R @ v), np.append(n, -np.cross(n, c))]
         return np.stack(columns, axis=1)
@@ -37,10 +41,8 @@ class Support:
     def across(self, T_left_world):
         """(6, 3): a lift along the normal, and two turns that tilt."""
         R = T_left_world[:3, :3]
-        a = np.eye(3)[np.argmin(np.abs(self.normal))]
-        u = np.cross(self.normal, a) / np.linalg.norm(np.cross(self.normal, a))
         c, columns = R @ self.point + T_left_world[:3, 3], [np.append(np.zeros(3), R @ self.normal)]
-        for axis in (u, np.cross(self.normal, u)):
+        for axis in self._along:
             columns.append(np.append(R @ axis, -np.cross(R @ axis, c)))
         return np.stack(columns, axis=1)
 

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lib.given.cameras import Camera, rt_from_matrix
+from lib.core.stage import BadInput
+from lib.given import image
+from lib.given.cameras import Camera, read_cameramodel, rt_from_matrix
+from lib.given.view import size_problem
 from lib.vision.recognition.closed_form import moved
 from lib.vision.refinement.edges import draw
 
@@ -21,6 +24,16 @@ class Side:
     camera: Camera
     photograph: object
     surfaces: np.ndarray = None
+
+    @classmethod
+    def read(cls, camera, photograph, surfaces=None) -> "Side":
+        """From files. BadInput: one that cannot be used, or a picture whose size is not the camera's."""
+        labels = None if surfaces is None else image.read_labels(surfaces)
+        side = cls(read_cameramodel(camera), image.read_photograph(photograph), labels)
+        for path, values in ((photograph, side.photograph.values), (surfaces, labels)):
+            if path is not None and (problem := size_problem(path, values, side.camera, camera)):
+                raise BadInput(problem)
+        return side
 
 
 # Levenberg-Marquardt on one set of correspondences.
