@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from lib.analysis import misfits
@@ -33,12 +33,14 @@ class Audit:
     """Tiles of all pixels, and what a group may differ by.
 
     gathered : without the lens's shadow;  subcell : of FormFactors;  given : {group number: kind}, of scene.yaml
+    asked : {question: its answer}, of `once`
     """
 
     gathered: Gathered
     subcell: object
     given: dict
     threshold: float
+    asked: dict = field(default_factory=dict)
 
     @classmethod
     def of(cls, gathered: Gathered, explained: Explained, factors, surfaces, threshold) -> Audit:
@@ -49,6 +51,12 @@ class Audit:
     @property
     def tiles(self) -> Receivers:
         return unplaced(self.gathered)
+
+    def once(self, question, ask):
+        """The answer of ask(), which is asked only once."""
+        if question not in self.asked:
+            self.asked[question] = ask()
+        return self.asked[question]
 
     def misfits(self, problem: Problem, result: Result, direct=None) -> dict:
         """{group: Misfit} of diffuse surfaces. direct : (T, L) of the audit's tiles, in place of their own"""

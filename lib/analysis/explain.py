@@ -161,6 +161,11 @@ def explain(problem: Problem, leave: Leave, **options) -> Explained:
     return with_lobes(found, leave, **options).kept(**options)
 
 
+def as_given(problem: Problem, **options) -> Explained:
+    """The fit under the given facts; neither causes nor rivals are looked for. options : of gauss_newton"""
+    return Explained(problem, *fit(problem, **options))
+
+
 def started(problem: Problem, leave: Leave, gamma=None, trace=None) -> Candidate | Problem:
     """The rough fit under the given facts; the problem itself where nothing can be learnt from one."""
     in_vain = leave.vain or not len(problem.tile_group)
@@ -324,11 +329,13 @@ def _begun(first: Candidate, leave: Leave) -> Candidate:
         return first
     if _may_glow(first, leave) and first.once(glow.NAME, glow.promise) > promise:
         return first  # no gamma is what is wrong
-    from_ends = [Candidate.of(first.problem, gamma=start) for start in (STARTS[0], STARTS[-1])]
-    if np.ptp([c.result.state.gamma for c in (first, *from_ends)]) < SAME:
+    found = first.result.state.gamma
+    starts = STARTS if found > USUAL_GAMMA else STARTS[::-1]
+    across = Candidate.of(first.problem, gamma=starts[0])  # from the other side of where the first began
+    if abs(across.result.state.gamma - found) < SAME:
         return first
-    others = [Candidate.of(first.problem, gamma=start) for start in STARTS[1:-1]]
-    return max([first, *from_ends, *others], key=lambda c: c.evidence.nats)
+    others = [Candidate.of(first.problem, gamma=start) for start in starts[1:]]
+    return max([first, across, *others], key=lambda c: c.evidence.nats)
 
 
 def _climbed(best: Candidate, leave: Leave):

@@ -64,7 +64,7 @@ def solve(task: Task, report: Report) -> Answer:
     may_refine = task.may_refine and edges is not None
     if may_refine and (edges.is_lost or edges.allowed(task.allowed)):
         # whatever else the photograph might tell would only bend to this
-        answer = _answer(explain.explain(task.problem, Leave(False, ()), gamma=task.gamma, **options))
+        answer = _answer(explain.as_given(task.problem, gamma=task.gamma, **options))
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
         if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
             return answer
@@ -82,11 +82,14 @@ def solve(task: Task, report: Report) -> Answer:
     if things and (why := _something_missing(task, seen, edges, things)):
         return replace(seen, why=why)
     # no lamp throws light with an outline
-    is_patch = any(thing.is_sharp and thing.on_plain for thing in things) and not (leave.lobes and leave.lobes.asked)
+    may_throw = leave.lobes is not None and leave.lobes.asked
+    is_patch = not may_throw and any(thing.is_sharp and thing.on_plain for thing in things)
     may_move = may_move and not is_patch and bool(explained.taken or in_doubt(explained.result))
     refined = _by_light(task, explained) if may_move else None
     if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
         return _answer(explained, refined=refined, why=refined.why)
+    # where the lamps stand right, lines are no shadows' either
+    is_patch |= not may_throw and refined is None and any(thing.outlined and thing.on_plain for thing in things)
     lobed = explained if is_patch else explain.with_lobes(explained, leave, **options)
     explained = explained.kept(**options)
     if not task.can_look:
@@ -352,10 +355,10 @@ def _of_groups(task, explained, audit, judged, report) -> Answer:
 
 
 def _things(task, explained, audit) -> list:
-    """What stands before surfaces that the model has not."""
+    """What stands before surfaces that the model has not. audit : of this fit"""
     from lib.analysis import strangers
 
-    return strangers.things(task.view(), task.factors, explained, audit)
+    return audit.once("things", lambda: strangers.things(task.view(), task.factors, explained, audit))
 
 
 def _is_wrong_everywhere(explained, audit, judged):
@@ -397,8 +400,10 @@ def _strange(task, answer, is_wrong, things):
     doubtful = is_wrong or climb and in_doubt(climb.result)
     objects = lambda: task.view().model.objects
     sure = {g: rung for g, rung in climbed.items() if not doubtful or rung != "textured"}
-    if things is None:
+    if things is None and sure:
         things = strangers.things(task.view(), task.factors, explained, answer.audit, sure)
+    elif things is None:
+        things = _things(task, explained, answer.audit)
     return [
         *strangers.said(things, explained.problem.groups),
         *(

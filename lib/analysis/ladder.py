@@ -15,12 +15,14 @@ leaves half of the error beyond noise and its chance is not taken at all: noise 
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
 
-from lib.analysis import misfits, rungs
+from lib.analysis import misfits, rungs, unlike
 from lib.analysis.agreement import fits
+from lib.analysis.candidates import enough
 from lib.analysis.climbing import Climb, Place
 from lib.analysis.misfits import is_over, tolerance
 from lib.analysis.problem import Result
@@ -111,7 +113,10 @@ class _Step:
                 break
             if self.energy(g) < 0.03 * explained and g not in wanted:
                 continue  # its error may be the other one's light: it is asked again
-            self.trials[g] = self._tried(g)
+            tried = self._tried(g)
+            if g not in wanted and self._by_objects(g) > max([SURE] + [t.explained for t in tried]):
+                continue  # a reflectance for each of its objects explains more than any material of the whole group
+            self.trials[g] = tried
             explained = max([explained] + [self.energy(g) for t in self.trials[g] if t.explained > 0.8])
 
     def _of_several_materials(self, over) -> set:
@@ -123,6 +128,21 @@ class _Step:
             site.subcell, here.problem, here.result, here.tiles, [g for g in over if g not in self.wanted]
         )
         return {g for g, parts in found.items() if parts.unlike and parts.explained > SURE}
+
+    def _by_objects(self, g) -> float:
+        """Share of a group's error that a reflectance for each of its objects explains, where one stands out by far."""
+        here, site = self.here, self.site
+        if here.finish is not None or g not in self._unlike:
+            return 0.0
+        found = misfits.parts(site.subcell, here.problem, here.result, here.tiles, [g])
+        return found[g].explained if g in found else 0.0
+
+    @functools.cached_property
+    def _unlike(self) -> set:
+        """The groups of objects that have not their group's reflectance."""
+        here = self.here
+        found = unlike.objects(here.problem, here.result)
+        return {one.group for one in found if one.nats >= enough(here.problem)}
 
     def energy(self, g):
         """What the group is off by as a whole; without bound where no pixel tells."""

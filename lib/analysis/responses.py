@@ -40,7 +40,7 @@ def promise(found: Candidate) -> float:
 def under_srgb(found: Candidate) -> Candidate:
     """The fit with sRGB."""
     srgb = Transfer("srgb", matrix=found.problem.transfer.matrix)
-    return Candidate.of(replace(found.problem, transfer=srgb, fit_transfer=False), found.taken)
+    return Candidate.of(replace(found.problem, transfer=srgb, fit_transfer=False), found.taken, start=found.start)
 
 
 def fitted(found: Candidate) -> list[Candidate]:

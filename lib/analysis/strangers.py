@@ -6,6 +6,7 @@ is wrong with the light changes softly, and what is wrong with a material ends w
 
 from __future__ import annotations
 
+import functools
 from copy import copy
 from typing import NamedTuple
 
@@ -36,6 +37,12 @@ HALF, ALL_AROUND = 0.5, 0.95  # of the outline that is so sharp
 OUTLINE = 20  # pixels of it that must be seen
 WHOLE = 0.6  # of a facet: a thing covers less
 SAMPLES = 16  # of each lamp, from a pixel
+NEAR, FAR = 2, 6  # pixels, to either side of a line
+CLEAR = 0.7  # of a step over twelve pixels that a line has within four, which no edge of the model explains
+NOISY = 6  # so many times what one pixel's noise is, it must be
+LINE = 60  # pixels of such lines that must hang together
+BESIDE = 0.01  # of the picture's width: lines so near to an edge of the model may be that edge
+BY_SHADOW = 0.5  # of a line's step, from which the lamps explain it
 ELSEWHERE = 0.1  # part of a thing that lies on other facets than most of it
 
 
@@ -45,6 +52,7 @@ class Thing(NamedTuple):
     middle : x, y px;  behind : numbers of the groups, the most covered first;  sharp : share of the outline that is
     alone : it stands before one group, whose mirror or texture may show it
     on_plain : before one facet, which is plain besides: one photograph does not tell it from a texture
+    outlined : only its outline tells of it
     """
 
     pixels: int
@@ -53,6 +61,7 @@ class Thing(NamedTuple):
     sharp: float
     alone: bool
     on_plain: bool
+    outlined: bool = False
 
     @property
     def is_sharp(self):
@@ -66,6 +75,8 @@ def things(view: View, factors: FormFactors, explained: Explained, audit: Audit,
     found = _found(picture, factors, wrong)
     if wrong and not found:
         found = _found(picture.tinted(), None, wrong)
+    if wrong and not found:
+        found = [(mine, picture.thing(mine, *more)) for mine, *more in picture.outlined(factors)]
     return sorted((thing for _, thing in found), key=lambda thing: -thing.pixels)
 
 
@@ -102,6 +113,7 @@ class _Picture:
         problem, result, tiles = explained.problem, explained.result, audit.tiles
         self.view, self.groups, self.state = view, problem.groups, result.state
         self.climbed, self.given = dict(climbed), audit.given
+        self.noise = float(problem.pixel_noise)
         self.by_lamps = np.where(problem.own_lamps[:, None], result.state.E, 0)  # (L, C) emittances
         self.metric, self.pixel = Metric(result.state.transfer), tiles.pixel
         self.tiles, self.which = tiles, np.repeat(np.arange(len(tiles)), np.diff(tiles.start))
@@ -148,15 +160,18 @@ class _Picture:
 
     def look_closely(self, factors):
         """What is off, anew where it is strange: with each pixel's own light of the lamps."""
-        surface = surfaces.surface(self.view.model, factors.lamps)
         some = np.flatnonzero(self._strange())
-        p, side = surfaces.backproject(surface, self.view.camera, self.facet[some], self.pixel[some])
-        normals = surfaces.side_normals(surface)
-        emitters = lamps_.emitters(surface, factors.lamps, factors.lobes)
-        direct = lamps_.direct(surface, emitters, p, normals, side, len(factors.lamps), n_samples=SAMPLES)
-        lamps = self.state.rho[self.group[some]] * (direct @ self.by_lamps)
+        lamps = self._by_lamps(some, self.pixel[some], factors)
         low, high = (self.metric.value(lamps + light[some]) for light in self._indirect_nearby())
         self.off[some] = np.maximum(low - self.seen[some], self.seen[some] - high).max(axis=1)
+
+    def _by_lamps(self, some, pixel, factors):
+        """(n, C) linear: what pixels (n,) on the facets of the pixels `some` (n,) show of the lamps' own light."""
+        surface = surfaces.surface(self.view.model, factors.lamps)
+        p, side = surfaces.backproject(surface, self.view.camera, self.facet[some], pixel)
+        emitters, normals = lamps_.emitters(surface, factors.lamps, factors.lobes), surfaces.side_normals(surface)
+        direct = lamps_.direct(surface, emitters, p, normals, side, len(factors.lamps), n_samples=SAMPLES)
+        return self.state.rho[self.group[some]] * (direct @ self.by_lamps)
 
     def _indirect_nearby(self):
         """(M, C), (M, C): the least and the most of what the lamps do not send at once, on the facet's tiles nearby."""
@@ -202,19 +217,82 @@ class _Picture:
         rim &= cv2.erode(on_most.astype(np.uint8), wide) > 0
         if np.count_nonzero(rim) < OUTLINE:
             return 0.0
-        seen = self._drawn(self.seen, 0.0)
-        near, far = (_step(seen, px)[rim] for px in (2, 6))
+        near, far = (step[rim] for step in self.steps)
         return float(np.mean(near > SHARP * np.maximum(far, STRANGE)))
+
+    @functools.cached_property
+    def steps(self):
+        """(H, W), (H, W) display: how much the photograph changes within NEAR pixels to a side, and within FAR."""
+        seen = self._drawn(self.seen, 0.0)
+        return _step(seen, NEAR), _step(seen, FAR)
+
+    def outlined(self, factors):
+        """[((H, W) bool, number of pixels, (x, y), closed)] of what sharp lines enclose that the model has not.
+
+        A thing that is about as bright as what it stands before, brighter above and darker below, has no other mark.
+        closed : share of the outline along such lines
+        """
+        import cv2
+
+        lines, found = self._lines(factors).astype(np.uint8), []
+        wide = cv2.dilate(lines, np.ones((7, 7), np.uint8))
+        number, label = cv2.connectedComponents(wide, connectivity=8)
+        for k in range(1, number):
+            points = np.argwhere((label == k) & (lines > 0))[:, ::-1]
+            if len(points) < LINE:
+                continue
+            mine = cv2.fillConvexPoly(np.zeros_like(lines), cv2.convexHull(points.astype(np.int32)), 1)
+            rim = (mine - cv2.erode(mine, np.ones((3, 3), np.uint8)) > 0) & self.away
+            closed = float(np.mean(wide[rim] > 0)) if rim.any() else 0.0
+            if mine.sum() >= LARGE * mine.size and closed > HALF:
+                found.append((mine > 0, int(mine.sum()), points.mean(axis=0), closed))
+        return found
+
+    def _lines(self, factors):
+        """(H, W) bool: sharp lines of the photograph on one facet that neither edges nearby nor lamps explain."""
+        near, far = self.steps
+        lines = (near > CLEAR * far) & (near > max(STRANGE, NOISY * self.noise)) & self.away
+        some = np.flatnonzero(self._of_pixels(lines))
+        lines[np.divmod(self.pixel[some], lines.shape[1])] = ~self._are_shadows(some, far, factors)
+        return lines
+
+    @functools.cached_property
+    def away(self):
+        """(H, W) bool: pixels on a facet, away from where it ends."""
+        import cv2
+
+        change = np.zeros(self.owner.shape, np.uint8)
+        change[:, 1:] |= self.owner[:, 1:] != self.owner[:, :-1]
+        change[1:] |= self.owner[1:] != self.owner[:-1]
+        reach = max(FAR, round(BESIDE * change.shape[1]))
+        return (cv2.dilate(change, np.ones((2 * reach + 1,) * 2, np.uint8)) == 0) & (self.owner >= 0)
+
+    def _are_shadows(self, some, far, factors):
+        """(n,) bool: across these pixels the lamps' own light changes as the photograph does. far : (H, W)"""
+        tile, most = self.which[some], np.zeros(len(some))
+        own = self.state.rho[self.group[some]] * (self.tiles.direct[tile] @ self.by_lamps)
+        rest = np.maximum(self.B[tile] - own, 0)
+        for step in (FAR, FAR * self.owner.shape[1]):  # `away` leaves so much of the facet all around
+            ends = [rest + self._by_lamps(some, self.pixel[some] + sign * step, factors) for sign in (-1, 1)]
+            most = np.maximum(most, np.abs(np.subtract(*map(self.metric.value, ends))).max(axis=1))
+        return most > BY_SHADOW * self._of_pixels(far)[some]
+
+    def _of_pixels(self, picture):
+        """(M, ...) what a picture (H, W, ...) has at the pixels."""
+        return picture.reshape(-1, *picture.shape[2:])[self.pixel]
 
     def _group_of(self, facet):
         return self.of_group[self.owner == facet][0]
 
-    def thing(self, mine, pixels, middle) -> Thing:
+    def thing(self, mine, pixels, middle, sharp=None) -> Thing:
+        """sharp : share of its outline that is, where only that tells of it"""
         owner = self.owner[mine]
         most = np.bincount(owner[owner >= 0]).argmax()
         on_plain = _is_of_one(owner) and self._is_plain_but_for(mine, most)
         behind, alone = self.behind(mine), _is_of_one(self.of_group[mine])
-        return Thing(pixels, tuple(middle), behind, self.sharpness(mine), alone, on_plain)
+        outlined = sharp is not None
+        sharp = sharp if outlined else self.sharpness(mine)
+        return Thing(pixels, tuple(middle), behind, sharp, alone, on_plain, outlined)
 
     def _is_plain_but_for(self, mine, facet):
         """A texture that is one patch on a plain facet may be a thing before it: one photograph does not tell."""
