@@ -241,9 +241,10 @@ class _Picture:
             points = np.argwhere((label == k) & (lines > 0))[:, ::-1]
             if len(points) < LINE:
                 continue
-            mine = cv2.fillConvexPoly(np.zeros_like(lines), cv2.convexHull(points.astype(np.int32)), 1)
-            rim = (mine - cv2.erode(mine, np.ones((3, 3), np.uint8)) > 0) & self.away
+            hull = cv2.fillConvexPoly(np.zeros_like(lines), cv2.convexHull(points.astype(np.int32)), 1)
+            rim = (hull - cv2.erode(hull, np.ones((3, 3), np.uint8)) > 0) & self.away
             closed = float(np.mean(wide[rim] > 0)) if rim.any() else 0.0
+            mine = cv2.erode(hull, np.ones((2 * NEAR + 1,) * 2, np.uint8))  # lines are as wide
             if mine.sum() >= LARGE * mine.size and closed > HALF:
                 found.append((mine > 0, int(mine.sum()), points.mean(axis=0), closed))
         return found

@@ -1,0 +1,47 @@
+"""What the photograph shows and the model has not."""
+
+import cv2
+import numpy as np
+import pytest
+
+from lib.analysis import strangers
+
+CORNERS = np.array([[60, 40], [110, 35], [112, 90], [58, 95]])  # of a thing, x, y px
+
+
+def picture_of(seen, owner=None, shadows=False):
+    """A _Picture that knows what is seen, (H, W, C) display, and the facet of each pixel."""
+    picture = object.__new__(strangers._Picture)
+    picture.owner = np.zeros(seen.shape[:2], int) if owner is None else owner
+    picture.pixel, picture.seen = np.arange(picture.owner.size), seen.reshape(-1, seen.shape[2])
+    picture.view, picture.noise = type("View", (), {"shape": seen.shape[:2]}), 0.001
+    picture._are_shadows = lambda some, far, factors: np.full(len(some), shadows)
+    return picture
+
+
+def floor_with_a_thing(blur=0):
+    """(H, W, 1): brighter than the floor above, and darker below, as a crate is before a floor of its own brightness"""
+    y, x = np.mgrid[:140, :200]
+    mask = cv2.fillConvexPoly(np.zeros(y.shape, np.uint8), CORNERS, 1)
+    light = 0.5 + 0.0005 * x + mask * 0.1 * np.tanh((65 - y) / 8)
+    return (cv2.GaussianBlur(light, (0, 0), blur) if blur else light)[..., None]
+
+
+def test_a_thing_that_is_no_brighter_on_the_whole_is_known_by_its_outline():
+    ((mine, pixels, middle, closed),) = picture_of(floor_with_a_thing()).outlined(None)
+    area = cv2.contourArea(CORNERS)
+    assert pixels == mine.sum() and abs(pixels / area - 1) < 0.15 and closed > 0.9
+    assert np.linalg.norm(middle - CORNERS.mean(axis=0)) < 8
+
+
+@pytest.mark.parametrize("why", ["soft", "shadows", "edge", "small"])
+def test_what_else_may_draw_a_line_is_no_thing(why):
+    """A soft shadow, one with edges that the lamps throw, an edge of the model there, a few pixels of dirt."""
+    seen, owner = floor_with_a_thing(blur=5 if why == "soft" else 0), np.zeros((140, 200), int)
+    if why == "edge":
+        cv2.fillConvexPoly(drawn := np.zeros((140, 200), np.uint8), CORNERS + 2, 1)
+        owner = drawn.astype(int)
+    if why == "small":
+        seen = np.full((140, 200, 1), 0.5)
+        seen[70:76, 90:96] += 0.2
+    assert picture_of(seen, owner, why == "shadows").outlined(None) == []
