@@ -14,7 +14,7 @@ def picture_of(seen, owner=None, shadows=False):
     picture = object.__new__(strangers._Picture)
     picture.owner = np.zeros(seen.shape[:2], int) if owner is None else owner
     picture.pixel, picture.seen = np.arange(picture.owner.size), seen.reshape(-1, seen.shape[2])
-    picture.view, picture.noise = type("View", (), {"shape": seen.shape[:2]}), 0.001
+    picture.view, picture.facet = type("View", (), {"shape": seen.shape[:2]}), picture.owner.reshape(-1)
     picture._are_shadows = lambda some, far, factors: np.full(len(some), shadows)
     return picture
 
@@ -34,9 +34,9 @@ def test_a_thing_that_is_no_brighter_on_the_whole_is_known_by_its_outline():
     assert np.linalg.norm(middle - CORNERS.mean(axis=0)) < 8
 
 
-@pytest.mark.parametrize("why", ["soft", "shadows", "edge", "small"])
+@pytest.mark.parametrize("why", ["soft", "shadows", "edge", "small", "noise"])
 def test_what_else_may_draw_a_line_is_no_thing(why):
-    """A soft shadow, one with edges that the lamps throw, an edge of the model there, a few pixels of dirt."""
+    """A soft shadow, one with edges that the lamps throw, an edge of the model there, a few pixels of dirt, grain."""
     seen, owner = floor_with_a_thing(blur=5 if why == "soft" else 0), np.zeros((140, 200), int)
     if why == "edge":
         cv2.fillConvexPoly(drawn := np.zeros((140, 200), np.uint8), CORNERS + 2, 1)
@@ -44,4 +44,6 @@ def test_what_else_may_draw_a_line_is_no_thing(why):
     if why == "small":
         seen = np.full((140, 200, 1), 0.5)
         seen[70:76, 90:96] += 0.2
+    if why == "noise":
+        seen = np.random.default_rng(5).normal(0.5, 0.05, seen.shape)
     assert picture_of(seen, owner, why == "shadows").outlined(None) == []

@@ -251,8 +251,9 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
         return []
     free, taken = _with_free_lamps(found, leave)
     gain, least = free.evidence.nats - best.evidence.nats, enough(told)
+    as_many = _enough_of_lamps(told)
     causes = [t for t in found.taken if not (t.cause == "response" and best.kind == "srgb")]
-    if gain < least and (gain < -least or len(taken) >= len(causes)):
+    if gain < as_many and (gain < -least or len(taken) >= len(causes)):
         return []
     result, _ = fit(free.problem, start=free.start, **options)
     if not fits(result):
@@ -260,7 +261,12 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
     spared = [t.name for t in found.taken if t.cause not in {u.cause for u in taken}]
     if gain < 0 or matrix.NAME not in spared:  # the camera may mix colours, and have the lamps so
         told = replace(told, emittance=best.problem.transfer.mixed(told.emittance))
-    return lamps_of(told, result, gain, spared if gain < least else ())
+    return lamps_of(told, result, gain, spared if gain < as_many else ())
+
+
+def _enough_of_lamps(problem: Problem) -> float:
+    """Nats that lamps of any emittance must bring: a number for each lamp and channel, to which a curve can bend."""
+    return enough(problem, int(problem.own_lamps.sum()) * problem.channels)
 
 
 def _with_free_lamps(found: Explained, leave: Leave):
@@ -276,7 +282,7 @@ def _with_free_lamps(found: Explained, leave: Leave):
         simple = responses.under_srgb(first)
         if simple.evidence.nats >= least:
             return simple, []
-    if promise_of_lamps(found.best) < ALMOST * enough(first.problem):
+    if promise_of_lamps(found.best) < ALMOST * _enough_of_lamps(first.problem):
         return found.best, found.taken
     return Candidate.of(freed(found.best.problem), found.best.taken, start=found.best.start), found.taken
 

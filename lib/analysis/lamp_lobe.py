@@ -96,12 +96,12 @@ class LampLobes:
 
     def like(self, lamp, a, exponent):
         """(4,) the lobe that changes as 1 + a . direction does, about the mean direction of the light."""
-        to_tiles = self.ways[lamp][1]
-        middle = (to_tiles.weight[..., None] * to_tiles.along).sum(axis=(0, 1))
-        middle /= max(np.linalg.norm(middle), 1e-12)
+        to_patches, to_tiles = (way.moments().sum(axis=0) for way in self.ways[lamp])
+        middle = to_tiles if to_tiles.any() else to_patches  # no tile need see the lamp
+        middle = middle / max(np.linalg.norm(middle), 1e-12)
         slope = (a - (a @ middle) * middle) / max(1 + a @ middle, FADES)
         aim = middle + slope / exponent
-        return np.append(aim / np.linalg.norm(aim), exponent)
+        return np.append(aim / max(np.linalg.norm(aim), 1e-12), exponent)
 
     def cause(self, at: Equations, lobes) -> CauseTerms:
         """Turns and exponents of all lobes, linearised at equations of this very light."""

@@ -13,6 +13,7 @@ from lib.given.view import View
 from lib.vision.registration.mistakes import mistake
 from lib.vision.registration.register import Registration, register
 
+SHOWN = 0.85  # of the edges, from which they are no other place's
 TWIST = "twist_covariance"  # (6, 6) of an object's turn and move, world, beside the sigma of what it found
 
 
@@ -22,16 +23,13 @@ class Places:
 
     registration : None where the edges cannot be looked at
     causes : [Cause], as materials.json lists them;  why : [Why], the same in words
+    is_lost : the photograph does not show the model as it is given
     """
 
     registration: Registration | None
     causes: list
     why: list
-
-    @property
-    def is_lost(self) -> bool:
-        """The photograph does not show the model."""
-        return self.registration is not None and self.registration.seen.is_lost and bool(self.why)
+    is_lost: bool = False
 
     def allowed(self, causes) -> bool:
         """All of it may be taken. causes : that may be, as scene.yaml has them"""
@@ -45,18 +43,19 @@ def by_edges(view: View, lamps) -> Places:
         found = register(view.model, view.camera, view.photograph)
     except (ImportError, NoGraphics):
         return Places(None, [], [])
+    slip = mistake(view.model, view.camera, view.photograph, found.seen) if found.seen.found < SHOWN else None
+    if slip is not None:
+        return Places(found, [], [Why(slip.cause, None, slip.text, None)], is_lost=True)
     if found.seen.is_lost:
-        return Places(found, [], _lost(view, found))
+        why = _lost(found)
+        return Places(found, [], why, is_lost=bool(why))
     pairs = [*_camera(found), *(_thing(found, view.model, name, lamps) for name in found.objects)]
     pairs.sort(key=lambda pair: -(pair[0].evidence_nats or 0))
     return Places(found, *([pair[k] for pair in pairs] for k in (0, 1)))
 
 
-def _lost(view, found):
+def _lost(found):
     """[Why] the photograph hardly shows the model's edges; [] where these are so few that it may be by chance."""
-    slip = mistake(view.model, view.camera, view.photograph, found.seen)
-    if slip is not None:
-        return [Why(slip.cause, None, slip.text, None)]
     if not found.seen.is_surely_lost:
         return []
     text = (

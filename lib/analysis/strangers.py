@@ -39,7 +39,7 @@ WHOLE = 0.6  # of a facet: a thing covers less
 SAMPLES = 16  # of each lamp, from a pixel
 NEAR, FAR = 2, 6  # pixels, to either side of a line
 CLEAR = 0.7  # of a step over twelve pixels that a line has within four, which no edge of the model explains
-NOISY = 6  # so many times what one pixel's noise is, it must be
+NOISY = 4  # so many times what is usual on its facet, it must be
 LINE = 60  # pixels of such lines that must hang together
 BESIDE = 0.01  # of the picture's width: lines so near to an edge of the model may be that edge
 BY_SHADOW = 0.5  # of a line's step, from which the lamps explain it
@@ -113,7 +113,6 @@ class _Picture:
         problem, result, tiles = explained.problem, explained.result, audit.tiles
         self.view, self.groups, self.state = view, problem.groups, result.state
         self.climbed, self.given = dict(climbed), audit.given
-        self.noise = float(problem.pixel_noise)
         self.by_lamps = np.where(problem.own_lamps[:, None], result.state.E, 0)  # (L, C) emittances
         self.metric, self.pixel = Metric(result.state.transfer), tiles.pixel
         self.tiles, self.which = tiles, np.repeat(np.arange(len(tiles)), np.diff(tiles.start))
@@ -252,7 +251,8 @@ class _Picture:
     def _lines(self, factors):
         """(H, W) bool: sharp lines of the photograph on one facet that neither edges nearby nor lamps explain."""
         near, far = self.steps
-        lines = (near > CLEAR * far) & (near > max(STRANGE, NOISY * self.noise)) & self.away
+        usual = self._drawn(_usual(self._of_pixels(near), self.facet), 0.0)
+        lines = (near > CLEAR * far) & (near > np.maximum(STRANGE, NOISY * usual)) & self.away
         some = np.flatnonzero(self._of_pixels(lines))
         lines[np.divmod(self.pixel[some], lines.shape[1])] = ~self._are_shadows(some, far, factors)
         return lines

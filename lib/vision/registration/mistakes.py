@@ -16,7 +16,7 @@ from lib.vision.refinement.edges import pyramid
 from lib.vision.registration.motions import State
 from lib.vision.registration.register import COARSEST, SEARCH_PX, Registrar, Seen, seen
 
-CLEAR = 0.3  # so much more of the edges must be there
+CLEAR, LEFT = 0.3, 0.3  # so much more of the edges must be there, or so little left of what was not
 QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # Y up to Z up
 ROLLS = {"a quarter to the left": 90, "a quarter to the right": -90, "upside down": 180}
 
@@ -38,7 +38,8 @@ def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
         share = seen(sight.pieces) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0, 0.0)
         tried.append(Mistake(cause, f"{text}, the photograph has {share.found:.0%} of its edges, not {{}}", share))
     best = max(tried, key=lambda m: m.seen.nats)
-    if best.seen.is_lost or best.seen.found < now.found + CLEAR:
+    is_clear = best.seen.found >= min(now.found + CLEAR, 1 - LEFT * (1 - now.found))
+    if best.seen.is_lost or not is_clear:
         return None
     return best._replace(text=best.text.format(f"{now.found:.0%}"))
 
