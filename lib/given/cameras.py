@@ -74,6 +74,38 @@ class Camera:
         return np.stack([x, y], axis=-1)
 
 
+def intrinsics(focal_px, width, height):
+    """K (3, 3) of square pixels, the principal point in the middle.
+
+    >>> intrinsics(100.0, 101, 81)
+    array([[100.,   0.,  50.],
+           [  0., 100.,  40.],
+           [  0.,   0.,   1.]])
+    """
+    return np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])
+
+
+def look_at(eye, at, hfov_deg, width, height, up=(0, 0, 1)) -> Camera:
+    """The camera at `eye` that looks to `at`, with `up` upwards in the picture; fx = width / (2 tan(hfov / 2)).
+
+    eye, at : (3,) m, world;  ValueError where `up` lies along the view
+
+    >>> look_at([0, -2, 1], [0, 0, 1], 90, 101, 81).project([[0.0, 0, 1], [1, 0, 1], [0, 0, 2]])
+    array([[50.  , 40.  ],
+           [75.25, 40.  ],
+           [50.  , 14.75]])
+    """
+    eye, z = np.asarray(eye, float), np.subtract(at, eye).astype(float)
+    x = np.cross(z, np.asarray(up, float))
+    if not np.linalg.norm(x) > 1e-9 * np.linalg.norm(z) * np.linalg.norm(up):
+        raise ValueError(f"up {list(up)} lies along the view from {list(eye)} to {list(at)}")
+    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+    T = np.eye(4)
+    T[:3, :3] = x, np.cross(z, x), z
+    T[:3, 3] = -T[:3, :3] @ eye
+    return Camera(intrinsics(width / (2 * np.tan(np.radians(hfov_deg) / 2)), width, height), width, height, T)
+
+
 def matrix_from_rt(rt):
     """(6,) Rodrigues vector, translation -> (4, 4) rigid.
 

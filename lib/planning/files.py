@@ -8,6 +8,7 @@ from pathlib import Path
 from lib.core.stage import BadInput
 
 SIDES = ("left", "right")
+PICKED = ("pose.csv", "pose-lines.csv")  # where the model was picked in the left photograph
 PINHOLE = "LENSMODEL_PINHOLE"
 PHOTOGRAPH = "left.png|jpg|tif|exr"
 

@@ -1,7 +1,18 @@
 """What the scene's folder holds, checked before any stage runs."""
 
 from lib.core.stage import BadInput
-from lib.planning.files import MODEL, OBJECTS, SIDES, alternatives, model_groups, object_files, photograph_of
+from lib.planning.files import (
+    MODEL,
+    OBJECTS,
+    PICKED,
+    PINHOLE,
+    SIDES,
+    alternatives,
+    lens_of,
+    model_groups,
+    object_files,
+    photograph_of,
+)
 from lib.planning.rules import NAME, show
 
 
@@ -14,6 +25,7 @@ def folder_problems(scene):
         for name in alternatives(file):
             if (scene.folder / name).is_dir():
                 yield f"{scene.folder / name}: is a folder, not a file"
+    yield from _pose_problems(scene)
     yield from _object_problems(scene)
     groups = model_groups(scene.given(MODEL)) if scene.given(MODEL) else None
     if groups:
@@ -60,6 +72,19 @@ def inspect(scene, files) -> list[str]:
             except BadInput as bad:
                 problems += bad.problems
     return problems
+
+
+def _pose_problems(scene):
+    """Several files or keys that tell the pose of `left`, and a lens beside numbers that tell another."""
+    posed = scene.given("left.posed.cameramodel")
+    picked = [path.name for path in map(scene.given, PICKED) if path]
+    ways = [*([posed.name] if posed else []), *(["camera of scene.yaml"] if scene.camera else [])]
+    ways += [" with ".join(picked)] if picked else []
+    if len(ways) > 1:
+        yield f"{scene.folder}: {' and '.join(ways)}: only one of them may tell the pose of left"
+    lens = scene.given("left.cameramodel")
+    if scene.camera and lens and lens_of(lens) not in (None, PINHOLE):
+        yield f"{lens}: lensmodel: {lens_of(lens)}: camera of scene.yaml is a pinhole: one of them is to go"
 
 
 def _object_problems(scene):

@@ -11,6 +11,7 @@ REPORTS = "*.report.json"  # of the planned stages above
 FACTS = (
     "board",
     "lens",
+    "camera",
     "lamps",
     "lamp_groups",
     "place_sigma_m",
@@ -35,7 +36,9 @@ class Stage:
 
     name: str
     script: str  # as the command line names it
-    asked_by: list = field(default_factory=list)  # only scenes that have one of these keys or folders know the stage
+    asked_by: list = field(
+        default_factory=list
+    )  # only scenes that have one of these keys, files or folders know the stage
     reads: dict = field(default_factory=dict)  # option -> file
     may_read: dict = field(default_factory=dict)
     writes: dict = field(default_factory=dict)

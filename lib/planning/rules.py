@@ -14,7 +14,20 @@ from lib.given.units import METRES
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 KEYS = (
-    *("board", "lens", "lamps", "reference", "transfer", "surfaces", "explain", "refine", "movable", "model", "goals"),
+    *(
+        "board",
+        "lens",
+        "camera",
+        "lamps",
+        "reference",
+        "transfer",
+        "surfaces",
+        "explain",
+        "refine",
+        "movable",
+        "model",
+        "goals",
+    ),
     *("augment", "params"),
 )
 REFINED = ("objects",)  # what `refine` may name
@@ -90,6 +103,30 @@ def board(value):
 def lens(value):
     if not (isinstance(value, str) and re.fullmatch(r"LENSMODEL_[A-Z0-9]+(_[A-Za-z0-9_.=-]+)?", value)):
         yield "lens", value, "is not a name of a mrcal lens model, LENSMODEL_..."
+
+
+def camera(value):
+    known = yield from _mapping("camera", value)
+    for key in sorted(known.keys() - {"eye", "at", "up", "hfov_deg"}):
+        yield f"camera.{key}", known[key], "is an unknown key; known are eye, at, up, hfov_deg"
+    for key in [k for k in ("eye", "at", "hfov_deg") if k not in known]:
+        yield f"camera.{key}", None, "is missing"
+    sound = []
+    for key in [k for k in ("eye", "at", "up") if k in known]:
+        problems = list(_three(f"camera.{key}", known[key], -math.inf, math.inf, ""))
+        sound += [] if problems else [key]
+        yield from problems
+    angle = known.get("hfov_deg", 60)
+    if not (finite(angle) and 0 < angle < 180):
+        yield "camera.hfov_deg", angle, "is not an angle between 0 and 180 degrees"
+    if {"eye", "at"} <= set(sound) and ("up" in sound or "up" not in known):
+        view = [a - b for a, b in zip(known["at"], known["eye"], strict=True)]
+        up = known.get("up", [0, 0, 1])
+        across = [view[i] * up[j] - view[j] * up[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+        if not any(view):
+            yield "camera.at", known["at"], "is where the eye is"
+        elif math.hypot(*across) <= 1e-9 * math.hypot(*view) * math.hypot(*up):
+            yield "camera.up", up, "lies along the view from eye to at"
 
 
 def lamps(value):

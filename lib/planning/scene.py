@@ -14,6 +14,7 @@ from lib.planning.files import (
     MODEL,
     OBJECTS,
     PHOTOGRAPH,
+    PICKED,
     PINHOLE,
     SIDES,
     alternatives,
@@ -30,6 +31,7 @@ IN_METRES = "model.metres.glb"
 POSED_MODEL = "model.posed.glb"
 NO_FILE = "-"  # no scene has one of this name
 PLACED = ("movable", "refine", OBJECTS)  # a scene that asks for one of these has a model with objects at found places
+TOLD = ("camera", *PICKED)  # how a person tells where `left` was taken from
 GOALS = ("materials.json", "rendered.png", "report.html")
 
 
@@ -41,6 +43,7 @@ class Scene:
     folder: Path
     board: dict | None = None
     lens: str = "LENSMODEL_OPENCV8"
+    camera: dict | None = None  # eye, at, up, hfov_deg of left
     lamps: dict = field(default_factory=dict)  # group -> [r, g, b] emittance, or "unknown"; or a mapping with more
     reference: dict = field(default_factory=dict)  # group -> [r, g, b] reflectance
     transfer: object = None  # a word, {"gamma": g} or {"curve": file}
@@ -74,6 +77,7 @@ class Scene:
             "<drawn model>": drawn,
             "<model>": POSED_MODEL if placed else drawn,
             "<camera pose>": "pose.camera.json" if placed else "pose.json",
+            **_recognised(self, placed),
             "<curve>": curve,
             **views(self, "left"),
             **views(self, "right"),
@@ -81,13 +85,20 @@ class Scene:
 
     def asks(self, word) -> bool:
         """Whether scene.yaml says something under a key, or something lies in a folder `objects/`."""
-        return bool(object_files(self.given(word)) if word == OBJECTS else getattr(self, word))
+        if word == OBJECTS:
+            return bool(object_files(self.given(word)))
+        return bool(self.given(word) if "." in word else getattr(self, word))
+
+    @property
+    def is_told(self) -> bool:
+        """Whether a person tells the pose of `left`, by picked places or in numbers."""
+        return any(map(self.asks, TOLD))
 
     @property
     def lone_pose(self) -> bool:
-        """Is the pose of `left` given and that of `right` not? Then no stage finds it."""
+        """Is the pose of `left` given or told, and that of `right` not? Then no stage finds it."""
         left, right = (self.given(f"{side}.posed.cameramodel") for side in SIDES)
-        return bool(left and not right)
+        return bool((left or self.is_told) and not right)
 
     def fact(self, key):
         """What a stage is told of scene.yaml under this key of `facts`; None: nothing."""
@@ -110,6 +121,14 @@ class Scene:
         if key in PLACED:
             return list(getattr(self, key)) or None
         return getattr(self, key)
+
+
+def _recognised(scene, placed) -> dict[str, str]:
+    """Where recognise writes the camera and the pose: beside those that a person tells."""
+    if scene.is_told:
+        return {"<left recognised>": "left.recognised.cameramodel", "<recognised pose>": "pose.recognised.json"}
+    pose = "pose.camera.json" if placed else "pose.json"
+    return {"<left recognised>": "left.posed.cameramodel", "<recognised pose>": pose}
 
 
 def views(scene, side) -> dict[str, str]:
@@ -181,6 +200,7 @@ def read(folder, stages) -> Scene:
     checks = {
         "board": rules.board,
         "lens": rules.lens,
+        "camera": rules.camera,
         "lamps": rules.lamps,
         "reference": rules.reference,
         "transfer": lambda v: rules.transfer(v, bare),

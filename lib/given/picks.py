@@ -1,0 +1,108 @@
+"""pose.csv and pose-lines.csv: where points and straight lines of the model were picked in the photograph."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from lib.core.stage import BadInput
+
+POINT = ("x_px", "y_px", "X", "Y", "Z")
+LINE = ("x1_px", "y1_px", "x2_px", "y2_px", "X1", "Y1", "Z1", "X2", "Y2", "Z2")
+FURTHER = ("sigma_px", "name")
+LARGEST = 1e9  # px or m: what is larger is no picked place
+
+
+@dataclass(frozen=True, eq=False)
+class Picks:
+    """Points and lines that were picked.
+
+    q : (n, 2) px;  p : (n, 3) m, world;  sigma : (n,) px;  names : n of them, of the file or its lines' numbers
+    ends : (m, 2, 2) px of lines, which need not be those of p_ends : (m, 2, 3) m;  sigma_ends : (m,);  line_names
+    """
+
+    q: np.ndarray
+    p: np.ndarray
+    sigma: np.ndarray
+    names: tuple
+    ends: np.ndarray
+    p_ends: np.ndarray
+    sigma_ends: np.ndarray
+    line_names: tuple
+
+    def straightened(self, lens, camera) -> Picks:
+        """As a pinhole camera would have shown the same. lens : lenses.Lens;  BadInput: beyond what the lens shows"""
+        bare = replace(camera, T_cam_world=np.eye(4))
+        q, ends = (bare.project(lens.unproject(places)) for places in (self.q, self.ends.reshape(-1, 2)))
+        for name, place in zip((*self.names, *np.repeat(self.line_names, 2)), (*q, *ends), strict=True):
+            if not np.isfinite(place).all():
+                raise BadInput(f"{name}: lies where no light comes through the lens of {lens.path}")
+        return replace(self, q=q, ends=ends.reshape(-1, 2, 2))
+
+
+def read(points=None, lines=None) -> Picks:
+    """points, lines : paths of pose.csv and pose-lines.csv, or None.  BadInput names line, column and value."""
+    q, sigma, names = _table(points, POINT) if points else (np.zeros((0, 5)), np.zeros(0), ())
+    e, sigma_ends, line_names = _table(lines, LINE) if lines else (np.zeros((0, 10)), np.zeros(0), ())
+    ends, p_ends = e[:, :4].reshape(-1, 2, 2), e[:, 4:].reshape(-1, 2, 3)
+    for where, values, of in (("the picture", ends, line_names), ("the model", p_ends, line_names)):
+        for name, (a, b) in zip(of, values, strict=True):
+            if (a == b).all():
+                raise BadInput(f"{lines}: {name}: both ends are the same point of {where}")
+    return Picks(q[:, :2], q[:, 2:], sigma, names, ends, p_ends, sigma_ends, line_names)
+
+
+def _table(path, columns):
+    """(values (n, k), sigma (n,), names) of a file with these columns, in any order, and perhaps more."""
+    header, rows = _rows(path)
+    unknown = [name for name in header if name not in (*columns, *FURTHER)]
+    missing = [name for name in columns if name not in header]
+    if unknown or missing or len(set(header)) < len(header):
+        wanted = f"{','.join(columns)}, perhaps with {' and '.join(FURTHER)}"
+        raise BadInput(f"{path}: header: {','.join(header)!r} is not {wanted}")
+    values, sigma, names = [], [], []
+    for line, row in rows:
+        where = f"{path}: line {line}"
+        if len(row) != len(header):
+            raise BadInput(f"{where}: {','.join(row)!r} has {len(row)} values, the header has {len(header)}")
+        cell = dict(zip(header, row, strict=True))
+        values.append([_number(where, name, cell[name]) for name in columns])
+        sigma.append(_number(where, "sigma_px", cell.get("sigma_px", "1")))
+        if not sigma[-1] > 0:
+            raise BadInput(f"{where}: sigma_px: {cell['sigma_px']!r} is not positive")
+        names.append(cell.get("name") or f"line {line}")
+    twice = [name for name, after in pairwise(sorted(names)) if name == after]
+    if twice:
+        raise BadInput(f"{path}: name: {twice[0]!r} stands there twice")
+    return np.array(values, float).reshape(-1, len(columns)), np.array(sigma), tuple(names)
+
+
+def _rows(path):
+    """(header, [(number of the line, cells)]), without comments and empty lines."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = file.read().splitlines()
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: not a text file in UTF-8: {error.reason}") from None
+    kept = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    try:
+        cells = [[cell.strip() for cell in row] for row in csv.reader([line for _, line in kept], strict=True)]
+    except csv.Error as error:
+        raise BadInput(f"{path}: not a readable CSV file: {error}") from None
+    if not cells:
+        raise BadInput(f"{path}: holds nothing: the first line is to be the header")
+    return cells[0], [(k, row) for (k, _), row in zip(kept[1:], cells[1:], strict=True)]
+
+
+def _number(where, name, text):
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < LARGEST:
+        raise BadInput(f"{where}: {name}: {text!r:.80} is not a number of at most {LARGEST:g}")
+    return value

@@ -1,0 +1,366 @@
+"""The pose, and where it is unknown the focal length, from picked points and lines, some of which may be wrong.
+
+    found = solve(picks, camera, focal_known=False)     # picks : lib.given.picks.Picks
+
+A picked place is right, with normal noise of its sigma times one factor that all share, or anywhere in the picture.
+Poses and that factor are found together by expectation and maximisation of this mixture (Torr and Zisserman, MLESAC,
+2000) from several starts, of which the likeliest answer stays. A start is pycolmap's absolute pose by LO-RANSAC (from
+points), or one of many views of what was picked (from lines alone). Of a line each picked end tells its distance from
+the model's line in the picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lib.core.stage import BadInput
+from lib.given.cameras import Camera, matrix_from_rt
+from lib.given.picks import Picks
+
+STEP = 1e-6  # of a parameter, for derivatives
+FOCAL_STARTS = (0.8, 1.2, 2.0)  # over the picture's larger side, where it is unknown
+LEAST = 4  # places
+MOST_WRONG = 0.6  # of what was picked
+FEW, COARSE = 5, 2.0  # places with an unknown focal length that check nothing;  factor worth a word
+WRONG = 0.5  # probability of being wrong, from which it is an outlier
+LARGEST_FACTOR = 6.0  # of the noise over what the file says
+LOOSE_FOCAL = 0.3  # relative sigma from which the picks do not tell the focal length
+LOOSE_TURN = np.radians(10)  # and the rotation
+VIEWS = 60  # directions from which lines alone are looked at
+RIVAL = 9.0  # twice the difference of log-likelihoods below which another pose explains the picks as well
+OTHER = np.radians(2)  # so far turned is another pose
+ITERATIONS, SETTLING = 60, 25
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the picks tell.
+
+    camera : posed;  covariance : (6, 6) of (omega, tau), T = exp(omega, tau) T_hat along the camera's axes, rad and m
+    focal_sigma_px : None where the focal length was known;  factor : of the picks' sigmas, that their residuals show
+    residual_px : (n + m,) of points, then of lines (the farther end);  outlier : (n + m,) bool
+    redundancy : equations beyond unknowns, of what is no outlier;  rivals : poses (4, 4) that explain as much
+    """
+
+    camera: Camera
+    covariance: np.ndarray
+    focal_sigma_px: float | None
+    factor: float
+    residual_px: np.ndarray
+    outlier: np.ndarray
+    redundancy: int
+    rivals: tuple = ()
+
+    @property
+    def rms_px(self) -> float:
+        """Of what is no outlier."""
+        return float(np.sqrt(np.mean(self.residual_px[~self.outlier] ** 2)))
+
+
+def warnings(found: Found, names, focal_known) -> list[str]:
+    """What a person should know. names : of the points and the lines"""
+    said = []
+    if found.redundancy == 0:
+        said.append("no check is possible: so many numbers are unknown as the picked places tell")
+    elif not focal_known and (~found.outlier).sum() <= FEW:
+        said.append(f"no check is possible by {(~found.outlier).sum()} places: pick more, or give left.cameramodel")
+    for k in np.flatnonzero(found.outlier):
+        said.append(
+            f"{names[k]}: is {found.residual_px[k]:.0f} px from where the camera of the others sees it: left out"
+        )
+    if found.factor > COARSE:
+        said.append(f"the places are {found.factor:.1f} times less exact than their sigma_px says")
+    if found.rivals:
+        said.append("another pose explains the picked places as well: see ambiguous in pose.json")
+    return said
+
+
+def solve(picks: Picks, camera: Camera, focal_known: bool) -> Found:
+    """camera : its K, but for an unknown focal length, and its size count.  BadInput: too few, or places that do not
+    tell the pose."""
+    n = len(picks.p) + len(picks.p_ends)
+    if n < LEAST:
+        raise BadInput(f"{n} picked place{'s' * (n != 1)}: at least {LEAST} are needed")
+    equations, unknowns = 2 * (len(picks.p) + len(picks.p_ends)), 6 if focal_known else 7
+    if equations < unknowns:
+        raise BadInput(f"{equations // 2} picked places tell {equations} numbers, and {unknowns} are unknown")
+    _check_spread(picks)
+    fits = [_Fit(picks, camera, focal_known, *start).climbed() for start in _starts(picks, camera, focal_known)]
+    if not any(fit.agrees for fit in fits):
+        looks = _looks(picks, camera, focal_known)
+        fits += [_Fit(picks, camera, focal_known, *look).settled().climbed() for look in looks]
+    fits = sorted((fit for fit in fits if fit.is_sound), key=lambda fit: -fit.likelihood)
+    if not fits:
+        raise BadInput("no camera sees the picked places where they were picked: are X, Y, Z those of the model?")
+    best = fits[0]
+    if not best.agrees:
+        share = f"{(~best.outlier).sum()} of {len(best.outlier)}"
+        raise BadInput(f"only {share} picked places agree with any one camera")
+    return best.found(fits[1:])
+
+
+def _check_spread(picks):
+    """BadInput where all that was picked lies on one line of the model."""
+    p = np.concatenate([picks.p, picks.p_ends.reshape(-1, 3)])
+    size = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
+    if size[1] < 1e-6 * size[0] or size[0] == 0:
+        raise BadInput("all picked places lie on one straight line of the model: they do not tell how it is turned")
+
+
+# ---- starts ----
+
+
+def _starts(picks, camera, focal_known):
+    """(T (4, 4), focal length over the camera's) to begin at, from points."""
+    if len(picks.p) < 4:
+        return []
+    return [*_by_colmap(picks, camera, focal_known), *_of_planes(picks, camera, focal_known)]
+
+
+def _by_colmap(picks, camera, focal_known):
+    """pycolmap's absolute pose; of all, and at most so strict that half may be wrong."""
+    import pycolmap
+
+    found, K = [], camera.K
+    for reach in (3.0, 12.0):
+        options = pycolmap.AbsolutePoseEstimationOptions()
+        options.estimate_focal_length = not focal_known
+        options.ransac.max_error = reach * float(np.median(picks.sigma))
+        options.ransac.random_seed = 1
+        options.ransac.max_num_trials = 2000
+        params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]] if focal_known else [K[0, 0], K[0, 2], K[1, 2]]
+        model = "PINHOLE" if focal_known else "SIMPLE_PINHOLE"
+        view = pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=params)
+        result = pycolmap.estimate_absolute_pose(picks.q, picks.p, view, options)
+        if result is not None:
+            T = np.vstack([result["cam_from_world"].matrix(), [0, 0, 0, 1]])
+            found.append((T, 1.0 if focal_known else view.params[0] / K[0, 0]))  # it writes into the camera
+    return found
+
+
+def _of_planes(picks, camera, focal_known):
+    """Both poses from which a plane looks alike (Collins and Bartoli, IPPE), where all points lie on one."""
+    import cv2
+
+    p = picks.p - picks.p.mean(axis=0)
+    _, size, axes = np.linalg.svd(p)
+    if size[2] > 1e-3 * size[0]:
+        return []
+    flat, found = p @ axes.T, []
+    flat[:, 2] = 0
+    turn = np.eye(4)
+    turn[:3, :3] = axes * np.sign(np.linalg.det(axes))  # a rotation: IPPE wants the plane z = 0
+    flat = p @ turn[:3, :3].T
+    turn[:3, 3] = -turn[:3, :3] @ picks.p.mean(axis=0)
+    for share in (1.0,) if focal_known else _relative_focals(camera):
+        K = camera.K * [[share, 1, 1], [1, share, 1], [1, 1, 1]]
+        ok, rs, ts, _ = cv2.solvePnPGeneric(flat, picks.q, K, None, flags=cv2.SOLVEPNP_IPPE)
+        for r, t in zip(rs, ts, strict=True) if ok else ():
+            found.append((matrix_from_rt(np.concatenate([r.ravel(), t.ravel()])) @ turn, share))
+    return found
+
+
+def _relative_focals(camera):
+    side = max(camera.width, camera.height)
+    return [share * side / camera.K[0, 0] for share in FOCAL_STARTS]
+
+
+def _looks(picks, camera, focal_known):
+    """Views of all that was picked, from all around, each way up."""
+    p = np.concatenate([picks.p, picks.p_ends.reshape(-1, 3)])
+    middle, size = p.mean(axis=0), np.linalg.norm(p - p.mean(axis=0), axis=1).max()
+    k = np.arange(VIEWS) + 0.5
+    z, turn = 1 - 2 * k / VIEWS, np.pi * (1 + 5**0.5) * k  # a spiral over the sphere
+    around = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+    for share in (1.0,) if focal_known else _relative_focals(camera)[1:2]:
+        far = size * max(1.0, 2 * share * camera.K[0, 0] / min(camera.width, camera.height))
+        for back in around:
+            right = np.cross([0, 0, 1], back) if abs(back[2]) < 0.99 else np.array([1.0, 0, 0])
+            right /= np.linalg.norm(right)
+            R = np.stack([right, np.cross(right, -back) * -1, -back])
+            R[1] = np.cross(R[2], R[0])
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = R, -R @ (middle + far * back)
+            yield T, share
+
+
+# ---- the mixture ----
+
+
+class _Fit:
+    """One start, and where it led.  theta : (6 or 7,) omega, tau, log of the focal length's share, from the start"""
+
+    def __init__(self, picks, camera, focal_known, T, share):
+        self.picks, self.camera, self.focal_known = picks, camera, focal_known
+        self.T, self.share, self.factor = T, float(share), 1.0
+        n, m = len(picks.p), len(picks.p_ends)
+        self.sigma = np.concatenate([np.repeat(picks.sigma, 2), np.repeat(picks.sigma_ends, 2)])
+        self.owner = np.concatenate([np.repeat(np.arange(n), 2), n + np.repeat(np.arange(m), 2)])
+        self.anywhere = -np.log(float(camera.width * camera.height))  # a wrong pick's log-density
+        self.right, self.share_right, self.likelihood = np.ones(n + m), 0.8, -np.inf
+        self.is_sound = True
+
+    @property
+    def size(self):
+        return 6 if self.focal_known else 7
+
+    def moved(self, step):
+        """(T, share) after a step."""
+        change = matrix_from_rt(np.concatenate([step[:3], [0, 0, 0]]))
+        change[:3, 3] = step[3:6]
+        return change @ self.T, self.share * (1.0 if self.focal_known else float(np.exp(np.clip(step[6], -1, 1))))
+
+    def posed(self, T, share):
+        K = self.camera.K * [[share, 1, 1], [1, share, 1], [1, 1, 1]]
+        return Camera(K, self.camera.width, self.camera.height, T)
+
+    def residuals(self, T, share):
+        """(2 (n + m),) px: of points in x and y, of lines the distances of both picked ends; nan behind the camera."""
+        camera, picks = self.posed(T, share), self.picks
+        of_points = (camera.project(picks.p) - picks.q).ravel()
+        if not len(picks.p_ends):
+            return of_points
+        seen = camera.points(picks.p_ends.reshape(-1, 3)) @ camera.K.T
+        line = np.cross(seen[0::2], seen[1::2])  # through both ends, also where one is behind the camera
+        length = np.linalg.norm(line[:, :2], axis=1)
+        ends = np.concatenate([picks.ends, np.ones((*picks.ends.shape[:2], 1))], axis=2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.concatenate([of_points, (np.einsum("mek,mk->me", ends, line) / length[:, None]).ravel()])
+
+    def settled(self) -> _Fit:
+        """From a start that is far off: squares under a width that follows their median."""
+        n, self.right = len(self.right), np.ones(len(self.right))
+        for _ in range(SETTLING):
+            r = self.residuals(self.T, self.share)
+            if not np.isfinite(r).all():
+                break
+            size = np.sqrt(np.bincount(self.owner, (r / self.sigma) ** 2, n))
+            self.right = 1 / (1 + (size / (2 * np.median(size))) ** 2) ** 2
+            self._step(r)
+        return self
+
+    @property
+    def agrees(self):
+        """Enough of what was picked is right."""
+        return self.is_sound and (~self.outlier).sum() >= (1 - MOST_WRONG) * len(self.right)
+
+    def climbed(self) -> _Fit:
+        """Expectation and maximisation until neither changes."""
+        r = self.residuals(self.T, self.share)
+        if not np.isfinite(r).all():
+            r = np.where(np.isfinite(r), r, self.camera.width)
+        self.factor = float(np.clip(1.48 * np.median(np.abs(r / self.sigma)), 1.0, LARGEST_FACTOR))
+        for _ in range(ITERATIONS):
+            before = self.likelihood
+            r = self._expected()
+            if r is None:
+                return self
+            self._step(r)
+            if abs(self.likelihood - before) < 1e-6:
+                break
+        return self
+
+    def _expected(self):
+        """The residuals, with `right` and `likelihood` of them; None where a place is behind the camera for good."""
+        r = self.residuals(self.T, self.share)
+        lost = ~np.isfinite(r)
+        if lost.all():
+            self.is_sound = False
+            return None
+        r = np.where(lost, 10.0 * self.camera.width, r)
+        s = self.factor * self.sigma
+        each = np.bincount(self.owner, -0.5 * (r / s) ** 2 - np.log(s) - 0.5 * np.log(2 * np.pi))
+        good, bad = np.log(self.share_right) + each, np.log1p(-self.share_right) + self.anywhere
+        self.likelihood = float(np.logaddexp(good, bad).sum())
+        self.right = np.exp(good - np.logaddexp(good, bad))
+        self.share_right = float(np.clip(self.right.mean(), 0.05, 0.98))
+        free = max(2 * self.right.sum() - self.size, 0.5)
+        self.factor = float(
+            np.clip(np.sqrt((self.right[self.owner] * (r / self.sigma) ** 2).sum() / free), 1.0, LARGEST_FACTOR)
+        )
+        return np.where(lost, 0.0, r)
+
+    def _step(self, r):
+        """A damped Gauss-Newton step of the weighted squares, shortened until they are no larger."""
+        J, w = self.derivatives(), (np.sqrt(self.right[self.owner]) / self.sigma)
+        keep = np.isfinite(J).all(axis=1)
+        A, b = (J * w[:, None])[keep], (r * w)[keep]
+        cost, damping = b @ b, 1e-9
+        for _ in range(12):
+            H = A.T @ A
+            step = -np.linalg.lstsq(H + damping * np.diag(np.diag(H) + 1e-12), A.T @ b, rcond=1e-14)[0]
+            T, share = self.moved(step)
+            after = self.residuals(T, share)
+            if np.isfinite(after[keep]).all() and ((after * w)[keep] ** 2).sum() <= cost * (1 + 1e-12):
+                self.T, self.share = T, share
+                return
+            damping = max(damping, 1e-7) * 10
+
+    def derivatives(self):
+        """(2 (n + m), 6 or 7) px, by central differences."""
+        depth = max(float(np.median(np.abs(self.posed(self.T, self.share).points(self._places())[:, 2]))), 1e-6)
+        columns = []
+        for k in range(self.size):
+            h = np.zeros(7)
+            h[k] = STEP * (depth if 3 <= k < 6 else 1.0)
+            columns.append((self.residuals(*self.moved(h)) - self.residuals(*self.moved(-h))) / (2 * h[k]))
+        return np.stack(columns, axis=1)
+
+    def _places(self):
+        return np.concatenate([self.picks.p, self.picks.p_ends.reshape(-1, 3)])
+
+    @property
+    def outlier(self):
+        return self.right < WRONG
+
+    def found(self, others) -> Found:
+        """The answer. others : fits that are less likely"""
+        good = ~self.outlier[self.owner]
+        J = self.derivatives()[good] / (self.factor * self.sigma[good, None])
+        redundancy = int(good.sum()) - self.size
+        H = J.T @ J
+        scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+        values = np.linalg.eigvalsh(H / np.outer(scale, scale))
+        if redundancy < 0 or values[0] < 1e-10:
+            raise BadInput("the picked places do not tell the pose: they lie so that different cameras see them alike")
+        covariance = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
+        focal_sigma = None if self.focal_known else float(np.sqrt(covariance[6, 6]))
+        turn = np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+        if focal_sigma is not None and focal_sigma > LOOSE_FOCAL:
+            raise BadInput(
+                f"the picked places do not tell the focal length (sigma {focal_sigma:.0%}): pick some in other depths,"
+                " or give left.cameramodel"
+            )
+        if turn > LOOSE_TURN:
+            raise BadInput(f"the picked places do not tell the pose (sigma {np.degrees(turn):.0f} degrees)")
+        r = np.abs(np.nan_to_num(self.residuals(self.T, self.share), nan=np.inf))
+        n = 2 * len(self.picks.p)
+        of_points, of_lines = np.hypot(r[:n:2], r[1:n:2]), np.maximum(r[n::2], r[n + 1 :: 2])
+        camera = self.posed(self.T, self.share)
+        return Found(
+            camera,
+            covariance[:6, :6],
+            None if focal_sigma is None else focal_sigma * camera.K[0, 0],
+            self.factor,
+            np.concatenate([of_points, of_lines]),
+            self.outlier,
+            redundancy,
+            tuple(self._rivals(others)),
+        )
+
+    def _rivals(self, others):
+        """Poses (4, 4) that explain the picks as well, and are others."""
+        kept = [self.T]
+        for other in others:
+            if 2 * (self.likelihood - other.likelihood) > RIVAL:
+                break
+            if all(_angle(other.T, T) > OTHER for T in kept):
+                kept.append(other.T)
+        return kept[1:]
+
+
+def _angle(A, B):
+    """rad between two rotations."""
+    return float(np.arccos(np.clip((np.trace(A[:3, :3] @ B[:3, :3].T) - 1) / 2, -1, 1)))
