@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.export import colmap, gltf, microfacet
+from lib.export import colmap, gltf, microfacet, mitsuba
 from lib.export.scene import Scene
 
 
@@ -32,6 +32,9 @@ KINDS = {
         lambda folder, scene, watt: gltf.write(folder / "scene.glb", scene),
         "ggx",
         ("shift", "throw", "glow"),
+    ),
+    "mitsuba": Kind(
+        {"mitsuba": "scene.xml"}, lambda folder, scene, watt: mitsuba.write(folder, scene), "beckmann", ("throw",)
     ),
     "colmap": Kind(
         {"colmap_cameras": "cameras.txt", "colmap_images": "images.txt", "colmap_points": "points3D.txt"},
