@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.export import colmap, gltf, microfacet, mitsuba
+from lib.export import colmap, gltf, microfacet, mitsuba, radiance, usd
 from lib.export.scene import Scene
 
 
@@ -17,7 +17,7 @@ class Kind(NamedTuple):
     """files : option -> name in the kind's folder;  write : of a folder, a Scene, W/m2 per unit of emittance
 
     distribution : of the microfacets that stand for Ward's lobe, None where it is kept or nothing of it is shown
-    loses : of `shift`, `throw`, `glow`, see LOSSES
+    loses : keys of LOSSES
     """
 
     files: dict
@@ -36,6 +36,12 @@ KINDS = {
     "mitsuba": Kind(
         {"mitsuba": "scene.xml"}, lambda folder, scene, watt: mitsuba.write(folder, scene), "beckmann", ("throw",)
     ),
+    "radiance": Kind(
+        {"radiance": "scene.rad", "radiance_view": "view.vf"},
+        lambda folder, scene, watt: radiance.write(folder, scene),
+        loses=("reflecting lamps",),
+    ),
+    "usd": Kind({"usd": "scene.usda"}, lambda folder, scene, watt: usd.write(folder, scene), "ggx", ("throw",)),
     "colmap": Kind(
         {"colmap_cameras": "cameras.txt", "colmap_images": "images.txt", "colmap_points": "points3D.txt"},
         lambda folder, scene, watt: colmap.write(folder, scene),
@@ -44,6 +50,7 @@ KINDS = {
 LOSSES = {
     "shift": "the principal point is taken as the middle of the picture, which is {} px off (exact in extras)",
     "throw": "lamps that throw their light in a lobe are lambertian here: {}",
+    "reflecting lamps": "lamps reflect nothing here: {}",
     "glow": "the light that comes in where the model is open is left out: {}",
 }
 
@@ -66,10 +73,11 @@ def losses(kind, scene: Scene) -> list[str]:
     """What of this scene a kind cannot hold, a line each."""
     camera = scene.camera
     shift = np.abs(camera.K[:2, 2] - [(camera.width - 1) / 2, (camera.height - 1) / 2]).max()
-    thrown = [name for name, look in scene.looks.items() if look.throw is not None and look.throw[3] != 1]
+    lamps = [look for look in scene.looks.values() if look.emittance is not None]
     subject = {
         "shift": f"{shift:.2g}" if shift > 0.01 else None,
-        "throw": ", ".join(thrown),
+        "throw": ", ".join(lamp.name for lamp in lamps if lamp.throw is not None),
+        "reflecting lamps": ", ".join(lamp.name for lamp in lamps if lamp.rho_d.any()),
         "glow": " ".join(f"{v:.3g}" for v in scene.glow) if scene.glow.any() else None,
     }
     return [LOSSES[what].format(subject[what]) for what in KINDS[kind].loses if subject[what]]

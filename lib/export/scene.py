@@ -65,7 +65,7 @@ class Piece:
 
     name : no two are the same;  corners : (T, 3, 3) m, world;  normal : (T, 3) unit, front
     uv : (T, 3, 2) place in the texture, from its lower left corner, seen from the front; else along the tangent and
-        across it, m;  texture : of the one facet, or None
+        across it, m;  facet : (T,) number in the model;  texture : of the one facet, or None
     """
 
     name: str
@@ -74,6 +74,7 @@ class Piece:
     corners: np.ndarray
     normal: np.ndarray
     uv: np.ndarray
+    facet: np.ndarray
     texture: AlbedoMap | None = None
 
     @property
@@ -181,7 +182,7 @@ def _pieces(model, surface, looks, maps):
         if name in names:
             name = f"{name} {k}"
         names.add(name)
-        pieces.append(Piece(name, model.objects[thing], look, p, normal, uv, texture))
+        pieces.append(Piece(name, model.objects[thing], look, p, normal, uv, facet[mine], texture))
     return pieces
 
 
