@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.export import colmap, gltf, microfacet, mitsuba, radiance, usd
+from lib.export import blender, colmap, gltf, microfacet, mitsuba, radiance, usd
 from lib.export.scene import Scene
 
 
@@ -42,6 +42,7 @@ KINDS = {
         loses=("reflecting lamps",),
     ),
     "usd": Kind({"usd": "scene.usda"}, lambda folder, scene, watt: usd.write(folder, scene), "ggx", ("throw",)),
+    "blender": Kind({"blender": "scene.py"}, blender.write, "beckmann"),
     "colmap": Kind(
         {"colmap_cameras": "cameras.txt", "colmap_images": "images.txt", "colmap_points": "points3D.txt"},
         lambda folder, scene, watt: colmap.write(folder, scene),
