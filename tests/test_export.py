@@ -18,9 +18,13 @@ from tests.helpers import parlour
 
 FILES = {
     "gltf": ["scene.glb"],
+    "mitsuba": ["scene.xml"],
+    "radiance": ["scene.rad", "view.vf"],
+    "usd": ["scene.usda"],
     "colmap": ["cameras.txt", "images.txt", "points3D.txt"],
+    "blender": ["scene.py"],
 }
-OPTIONS = {"colmap": ["colmap-cameras", "colmap-images", "colmap-points"]}
+OPTIONS = {"radiance": ["radiance", "radiance-view"], "colmap": ["colmap-cameras", "colmap-images", "colmap-points"]}
 
 
 def scene_of(words, up="z"):
