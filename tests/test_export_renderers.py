@@ -6,6 +6,9 @@ Programs live in an environment of their own, `make .venv-exports/ready`; tests 
 import json
 import shutil
 import subprocess
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
@@ -13,6 +16,8 @@ import pytest
 from lib.buffers import index_buffer
 from lib.given import image
 from lib.given import model as models
+from lib.verdict.page import build, exports
+from lib.verdict.page.parts import Parts
 from tests.helpers import consumers, parlour
 from tests.test_export import exported, scene, words  # noqa: F401  fixtures
 
@@ -116,22 +121,38 @@ def test_open3d_reads_the_gltf_and_the_ply(exported, words):  # noqa: F811
 # ---- the page ----
 
 
-def test_the_page_s_view_shows_pixels(exported, tmp_path):  # noqa: F811
-    """In headless Chromium: no errors on the console, and more than one colour."""
-    from lib.verdict.page import build, exports
-    from lib.verdict.page.parts import Parts
+class Slow(BaseHTTPRequestHandler):
+    """The page in a frame, beside a picture that takes 8 s: a browser takes its screenshot once all is loaded."""
 
-    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    def do_GET(self):
+        if self.path == "/slow":
+            time.sleep(8)
+        frame = b'<iframe src="/page" style="width:100%;height:980px;border:0"></iframe><img src="/slow">'
+        content = {"/": frame, "/page": self.server.page}.get(self.path, b"")
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_):
+        pass
+
+
+def test_the_page_s_view_shows_pixels(exported, tmp_path):  # noqa: F811
+    """In headless Chromium: no errors on the console, and the colours of the scene."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if not browser:
         pytest.skip("chromium: not installed")
     parts = Parts(exports={"gltf": "exports/gltf/scene.glb"}, view=exports.viewer(exported / "gltf/scene.glb"))
-    (tmp_path / "report.html").write_text(build.page(parts))
-    argv = [browser, "--headless", "--no-sandbox", f"--user-data-dir={tmp_path / 'profile'}", "--timeout=8000"]
-    argv += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--enable-logging=stderr"]
-    argv += ["--window-size=800,1000", f"--screenshot={tmp_path / 'page.png'}", f"file://{tmp_path}/report.html"]
-    done = subprocess.run(argv, capture_output=True, text=True, timeout=120)
+    with ThreadingHTTPServer(("127.0.0.1", 0), Slow) as server:
+        server.page = build.page(parts).encode()
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        argv = [browser, "--headless", "--no-sandbox", f"--user-data-dir={tmp_path / 'profile'}"]
+        argv += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--enable-logging=stderr"]
+        argv += ["--window-size=800,1000", f"--screenshot={tmp_path / 'page.png'}"]
+        argv += [f"http://127.0.0.1:{server.server_port}/"]
+        done = subprocess.run(argv, capture_output=True, text=True, timeout=120)
+        server.shutdown()
     assert "CONSOLE" not in done.stderr, done.stderr
     shown = image.read_photograph(tmp_path / "page.png").values
-    colours = np.unique((shown * 15).astype(int).reshape(-1, 3), axis=0)
-    saturation = np.ptp(shown, axis=2)
-    assert len(colours) > 30 and (saturation > 0.2).mean() > 0.02, "the view is empty"
+    assert (np.ptp(shown, axis=2) > 0.2).mean() > 0.02, "the view is empty"
