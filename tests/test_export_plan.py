@@ -69,3 +69,22 @@ def test_what_is_refused(folder, text, line):
     with pytest.raises(BadInput) as bad:
         plan(folder, LAMP + text)
     assert [problem.partition("scene.yaml: ")[2] for problem in bad.value.problems] == [line]
+
+
+def test_a_given_export_is_copied_and_its_copy_goes_with_it(folder):
+    """A goal in a folder: the stamp of its copy lies in a folder, too."""
+    from lib.planning import makefile
+
+    glb = folder / "exports/gltf/scene.glb"
+    glb.parent.mkdir(parents=True)
+    glb.write_bytes(b"glTF")
+    build = folder.parent / "build/attic"
+    text = "goals: [exports/gltf/scene.glb]"
+    makefile.write(plan(folder, text), "python3", ROOT)
+    assert (build / "commands/copy.exports/gltf/scene.glb").is_file()
+    made = build / "exports/gltf/scene.glb"
+    made.parent.mkdir(parents=True)
+    made.write_bytes(b"glTF")
+    glb.unlink()
+    makefile.write(plan(folder, "goals: [scorecard.csv]"), "python3", ROOT)
+    assert not made.exists()
