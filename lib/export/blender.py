@@ -50,7 +50,7 @@ def _look(look, R, folder, texture):
         image.write_exr(folder / file, rows_from_top(texture))
     return {
         "rho_d": look.rho_d,
-        "rho_s": look.rho_s,
+        "rho_s": look.beckmann,
         "alpha": look.alpha,
         "tangent": turned(look.tangent),
         "emittance": look.emittance,

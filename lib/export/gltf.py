@@ -2,10 +2,10 @@
 
 diffuse     baseColor = rho_d, metallic 0, KHR_materials_specular: specular 0
 mirror      baseColor = rho_s, metallic 1, roughness 0. Schlick's term turns a coloured one white at grazing angles
-lobe        specular = max(rho_s), specularColor = rho_s / specular, KHR_materials_ior: 0, which leaves no Fresnel
-            factor but Schlick's on the colour; baseColor = rho_d / (1 - specular), for glTF takes the lobe's light from
-            below it; roughness = sqrt(alpha_y), KHR_materials_anisotropy: strength^2 = (alpha_x - alpha_y) /
-            (1 - alpha_y). GGX instead of Ward's lobe, see microfacet.py; an alpha above 1 is 1
+lobe        alone: metallic 1, baseColor = rho_s. Over a diffuse part: KHR_materials_ior gives max(rho_s) straight on,
+            specularColor = rho_s / max(rho_s), baseColor = rho_d / (1 - max(rho_s)), for glTF takes the lobe's light
+            from below it. roughness = sqrt(alpha_y), KHR_materials_anisotropy: strength^2 = (alpha_x - alpha_y) /
+            (1 - alpha_y). GGX instead of Ward's lobe, see microfacet.py, and Schlick's term; an alpha above 1 is 1
 textured    baseColorTexture, sRGB-coded in 8 bits
 lamp        emissive = emittance, the linear image value (pi x radiance), by KHR_materials_emissive_strength.
             Lambertian; its front alone is drawn
@@ -26,6 +26,7 @@ SPECULAR, IOR, ANISOTROPY = "KHR_materials_specular", "KHR_materials_ior", "KHR_
 STRENGTH = "KHR_materials_emissive_strength"
 FLOAT, ARRAY_BUFFER = 5126, 34962
 NEAR_M = 0.01
+MOST = 0.9999  # of a lobe straight on, over a diffuse part
 
 
 def write(path, scene: Scene):
@@ -176,12 +177,17 @@ def _mapped(look):
     if look.alpha is None:
         even = {"baseColorFactor": colour(look.rho_d), "metallicFactor": 0.0, "roughnessFactor": 1.0}
         return even, {SPECULAR: {"specularFactor": 0.0}}
-    share = float(look.rho_s.max())
     wide, narrow = np.minimum(look.alpha, 1.0)
-    below = look.rho_d / (1 - share) if share < 1 else np.zeros(3)
-    pbr = {"baseColorFactor": colour(below), "metallicFactor": 0.0, "roughnessFactor": float(np.sqrt(narrow))}
-    tint = look.rho_s / share if share else np.ones(3)
-    extensions = {SPECULAR: {"specularFactor": share, "specularColorFactor": tint.tolist()}, IOR: {"ior": 0.0}}
+    pbr = {"roughnessFactor": float(np.sqrt(narrow))}
+    if look.rho_d.any():
+        share = min(float(look.rho_s.max()), MOST)
+        pbr |= {"baseColorFactor": colour(look.rho_d / (1 - share)), "metallicFactor": 0.0}
+        tint = look.rho_s / share if share else np.zeros(3)
+        root = np.sqrt(share)
+        extensions = {SPECULAR: {"specularFactor": 1.0, "specularColorFactor": tint.tolist()}}
+        extensions[IOR] = {"ior": float((1 + root) / (1 - root))}
+    else:
+        pbr, extensions = pbr | {"baseColorFactor": colour(look.rho_s), "metallicFactor": 1.0}, {}
     if look.anisotropic and narrow < 1:
         extensions[ANISOTROPY] = {"anisotropyStrength": float(np.sqrt((wide - narrow) / (1 - narrow)))}
     return pbr, extensions
@@ -206,13 +212,14 @@ def _unmapped(material):
     base, none = np.array(pbr.baseColorFactor[:3]), np.zeros(3)
     emissive = np.array(material.emissiveFactor) * extensions.get(STRENGTH, {}).get("emissiveStrength", 1.0)
     light = emissive if emissive.any() else None
-    if pbr.metallicFactor == 1:
-        return none, base, None, light
-    specular = extensions.get(SPECULAR, {})
-    share = specular.get("specularFactor", 1.0)
-    if share == 0:
-        return base, none, None, light
     narrow = pbr.roughnessFactor**2
     stretch = extensions.get(ANISOTROPY, {}).get("anisotropyStrength", 0.0) ** 2
     alpha = np.array([narrow + stretch * (1 - narrow), narrow])
+    if pbr.metallicFactor == 1:
+        return none, base, alpha if narrow else None, light
+    specular = extensions.get(SPECULAR, {})
+    if specular.get("specularFactor", 1.0) == 0:
+        return base, none, None, light
+    ior = extensions.get(IOR, {}).get("ior", 1.5)
+    share = ((ior - 1) / (ior + 1)) ** 2
     return base * (1 - share), share * np.array(specular.get("specularColorFactor", [1.0, 1.0, 1.0])), alpha, light

@@ -3,8 +3,8 @@
     mitsuba -m llvm_ad_rgb scene.xml -D spp=1024        # an EXR of radiance; times pi it is the linear image value
 
 Radiance is emittance / pi. Surfaces are two-sided, lamps emit on their front. A mirror is a conductor without Fresnel
-factor, Ward's lobe a rough one of Beckmann's microfacets with the same alphas, see microfacet.py; its tangent is the
-direction of u. Square pixels; the principal point is kept.
+factor, Ward's lobe a rough one of Beckmann's microfacets with the same alphas and nearly the same reflectance, see
+microfacet.py; its tangent is the direction of u. Square pixels; the principal point is kept.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _bsdf(root, look, name, folder, texture):
     if not look.is_mirror:
         _values(conductor, "string", distribution="beckmann")
         _values(conductor, "float", alpha_u=look.alpha[0], alpha_v=look.alpha[1])
-    _colour(conductor, "specular_reflectance", look.rho_s / share, folder)
+    _colour(conductor, "specular_reflectance", look.beckmann / share, folder)
 
 
 def _share(look):
@@ -104,7 +104,7 @@ def _share(look):
         return 0.0
     if not look.rho_d.any():
         return 1.0
-    return float(look.rho_s.max() / (look.rho_s.max() + look.rho_d.max()))
+    return float(look.beckmann.max() / (look.beckmann.max() + look.rho_d.max()))
 
 
 def _plugin(parent, tag, kind, **more):

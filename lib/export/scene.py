@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from lib.core.stage import BadInput
+from lib.export import microfacet
 from lib.given import materials
 from lib.given.cameras import Camera
 from lib.given.model import Model
@@ -46,6 +47,11 @@ class Look:
     @property
     def is_mirror(self):
         return self.rho_s.any() and self.alpha is None
+
+    @property
+    def beckmann(self):
+        """(3,) rho_s of a mirror, or of Beckmann's lobe of the same alphas."""
+        return self.rho_s if self.alpha is None else self.rho_s * microfacet.weight(self.alpha)
 
     @property
     def anisotropic(self):
