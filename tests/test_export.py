@@ -3,6 +3,7 @@
 What only a heavy program can tell stands in test_export_renderers.py.
 """
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -10,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lib.export import gltf, microfacet
+from lib.export import gltf, kinds, microfacet
 from lib.export import scene as scenes
 from lib.given import cameras, materials
 from lib.given import model as models
+from lib.light import ward
 from tests.helpers import parlour
 
 FILES = {
@@ -186,3 +188,28 @@ def test_a_group_without_values_is_refused_as_render_refuses_it(tmp_path, refuse
     materials.write(words[7], found)
     lines = refuses("stages/export.py", *words, "--gltf", tmp_path / "out/scene.glb")
     assert "group 'varnish': missing" in lines[0] and not (tmp_path / "out").exists()
+
+
+# ---- what is lost is said ----
+
+
+def test_losses_are_said(tmp_path, scene):
+    assert [len(kinds.losses(kind, scene)) for kind in ("gltf", "mitsuba", "radiance")] == [1, 0, 0]
+    assert "6 px off" in kinds.losses("gltf", scene)[0]
+    thrown = scene_of(parlour.write(tmp_path, throw=((0, 0, -1), 4.0)))
+    said = {kind: any("lobe" in line for line in kinds.losses(kind, thrown)) for kind in kinds.KINDS}
+    assert {kind for kind, is_lost in said.items() if is_lost} == {"gltf", "mitsuba", "usd"}
+
+
+def test_the_report_says_how_far_lobes_are_off(exported):
+    report = json.loads((exported / "report.json").read_text())
+    off = {error["name"]: error["value"] for error in report["errors"]}
+    assert off["mitsuba.lobe.varnish"] == pytest.approx(microfacet.residual("beckmann", (0.15, 0.15)))
+    assert off["gltf.lobe.steel"] > off["mitsuba.lobe.steel"] > 0 and "radiance.lobe.steel" not in off
+    assert report["losses"].keys() == FILES.keys() and report["losses"]["radiance"] == []
+
+
+@pytest.mark.parametrize("alpha", [(0.1, 0.1), (0.28, 0.07)])
+def test_beckmann_s_weight_is_ward_s_loss_of_light(alpha):
+    """Straight on Beckmann's lobe reflects all; Ward's, its albedo. At other angles the share is nearly the same."""
+    assert microfacet.weight(alpha) == pytest.approx(ward.albedo(ward.BOUNDED, *alpha, 0.0), abs=0.012)

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 
 from lib.buffers import index_buffer
+from lib.export import kinds
 from lib.given import image
 from lib.given import model as models
 from lib.verdict.page import build, exports
 from lib.verdict.page.parts import Parts
 from tests.helpers import consumers, parlour
-from tests.test_export import exported, scene, words  # noqa: F401  fixtures
+from tests.test_export import exported, scene, scene_of, words  # noqa: F401  fixtures
 
 pytestmark = pytest.mark.outside
 SAMPLES = {"mitsuba": 128, "radiance": 64, "blender": 64}
@@ -61,11 +62,11 @@ def test_a_renderer_shows_the_scene(kind, pictures, groups):
     assert np.isfinite(picture).all() and picture[groups == "wall"].min() > 0
 
 
-@pytest.mark.parametrize("kind, diffuse, glossy", [("radiance", 0.035, 0.1), ("blender", 0.03, 0.04)])
+@pytest.mark.parametrize("kind, diffuse, glossy", [("radiance", 0.035, 0.17), ("blender", 0.03, 0.04)])
 def test_renderers_agree(kind, diffuse, glossy, pictures, groups):
-    """With Mitsuba, in the mean of each group; 512 samples: .2 % and .9 % (Blender), 2.1 % and 7 % (Radiance).
+    """With Mitsuba, in the mean of each group; 512 samples: .5 % (Blender), 2 % and 13 % (Radiance).
 
-    Where Radiance draws one ray to a lobe it does not weight it by the lobe's albedo, .92 of the steel seen here.
+    Where Radiance draws one ray to a lobe it does not weight it by the lobe's albedo: the steel is too bright.
     """
     if not {kind, "mitsuba"} <= pictures.keys():
         pytest.skip(consumers.absent(consumers.RENDERERS[kind]) or consumers.absent("mitsuba"))
@@ -73,6 +74,22 @@ def test_renderers_agree(kind, diffuse, glossy, pictures, groups):
         ours, theirs = (pictures[k][groups == name].mean(axis=0) for k in ("mitsuba", kind))
         at_most = diffuse if parlour.GROUPS[name][3] is None else glossy
         assert theirs == pytest.approx(ours, rel=at_most), (name, theirs / ours)
+
+
+def test_a_lamp_that_throws_its_light(groups, tmp_path):
+    """Radiance and Blender keep its lobe: walls and floor to 3 % (256 samples: .9 %)."""
+    for package in ("pyradiance", "bpy"):
+        if why := consumers.absent(package):
+            pytest.skip(why)
+    thrown = scene_of(parlour.write(tmp_path / "given", throw=((0.3, 0.2, -1.0), 6.0)))
+    found = {}
+    for kind in ("radiance", "blender"):
+        (tmp_path / kind).mkdir()
+        kinds.KINDS[kind].write(tmp_path / kind, thrown, 2.0)  # W/m2 per unit: Blender's own file says so
+        found[kind] = consumers.ask(kind, tmp_path / kind, parlour.W, parlour.H, 48)
+    for name in ("floor", "wall", "side"):
+        radiance, blender = (found[kind][groups == name].mean(axis=0) for kind in found)
+        assert blender / 2 == pytest.approx(radiance, rel=0.03), name
 
 
 def test_usd_is_read(exported, scene):  # noqa: F811
