@@ -130,6 +130,11 @@ setup: .venv/ready
 	$(PYTHON) $(INSTALL) requirements.lock
 	@touch $@
 
+.venv-exports/ready: requirements-exports.lock
+	$(PYTHON3) -m venv .venv-exports
+	.venv-exports/bin/python $(INSTALL) requirements-exports.lock
+	@touch $@
+
 .venv-scenes/ready: requirements-scenes.lock
 	$(PYTHON3) -m venv .venv-scenes
 	.venv-scenes/bin/python $(INSTALL) requirements-scenes.lock

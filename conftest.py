@@ -7,7 +7,10 @@ import sys
 
 import pytest
 
-collect_ignore = ["lib/given/mrcal_process.py"]  # runs under mrcal's own interpreter
+collect_ignore = [
+    "lib/given/mrcal_process.py",  # runs under mrcal's own interpreter
+    "lib/export/blender_process.py",  # under Blender's
+]
 
 
 @pytest.fixture(autouse=True)

@@ -6,8 +6,9 @@
 
 reads   photograph, rendered, group, object, facet, hidden, trusted, depth, legend, materials, scores, comparison,
         reports; of a pair: photograph, regions, surfaces, camera (of the pair's frame) and those of the right side;
-        matches, facets, pose, calibration, orientation, model. Each may be missing, and so is its section then. Also
-        the textures that materials.json names, and plan.mk beside the page: what was left out, and why
+        matches, facets, pose, calibration, orientation, model; what was exported. Each may be missing, and so is its
+        section then. Also the textures that materials.json names, and plan.mk beside the page: what was left out, and
+        why
 writes  page          HTML with everything in it, below 6 MB
 """
 
@@ -20,7 +21,7 @@ from lib.core import stage
 FILES = (
     "photograph group object facet legend depth trusted hidden materials rendered difference scores scorecard "
     "comparison photograph_right regions regions_right surfaces surfaces_right camera camera_right matches facets pose "
-    "calibration orientation model"
+    "calibration orientation model gltf mitsuba radiance usd colmap blender"
 )
 
 
@@ -41,12 +42,15 @@ def main(opt):
             import jinja2  # noqa: F401
 
             from lib.core import artefact
-            from lib.verdict.page import build, parts
+            from lib.verdict.page import build, exports, parts
 
         with report.timing("parts"):
             content = parts.read(vars(opt), opt.scene, opt.reports, opt.page)
         with report.timing("textures"):
             content.thumbnails = thumbnails(opt, report, content.materials)
+        if opt.gltf:
+            with report.timing("view"):
+                content.view = exports.viewer(opt.gltf)
         with report.timing("page"):
             text = build.page(content)
         report["bytes"] = len(text.encode())

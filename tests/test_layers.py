@@ -22,6 +22,7 @@ PACKAGES = (
     "vision",  # from photographs to facets and pose
     "light",  # how light spreads
     "picture",  # from light to a picture
+    "export",  # the recovered scene for other programs
     "analysis",  # from a picture to materials
     "verdict",  # errors and the page
     "synthetic",  # scenes with a known answer
@@ -39,6 +40,7 @@ HEAVY = {
     "moderngl": "missing where there is no OpenGL: rays are cast then",
     "pycolmap": "only where a pose is estimated from the pair alone",
     "trimesh": "0.6 s",
+    "pygltflib": "0.1 s, only for an export",
     "mapbox_earcut": "only for polygons that are not quadrilaterals",
     "jinja2": "only for the page",
     "markupsafe": "Jinja2's",

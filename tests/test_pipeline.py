@@ -125,6 +125,6 @@ def test_the_doctor_says_what_to_do():
 def test_help_names_the_stages(run):
     said = run("make", "help").stdout
     assert (
-        "stages: units calibrate undistort undistort_right orient segment surfaces match" in said
+        "stages: units calibrate undistort undistort_right pose orient segment surfaces match" in said
         and "make <scene>/<stage>" in said
     )

@@ -34,6 +34,9 @@ STUCK = 0.05  # of what a cause has brought: right ones leave .03, one beside a 
 ALMOST = (
     0.5  # of what is enough, from which lamps that are told are set free beside causes: right ones promise .1 at most
 )
+ALONE = (
+    0.5  # of what a cause brings, that lamps alone promise at least where they are wrong: .8 to 1, right ones to .34
+)
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
 
@@ -274,17 +277,20 @@ def _with_free_lamps(found: Explained, leave: Leave):
 
     What was found, where lamps promise nothing beside it.
     """
-    first = Candidate.of(freed(found.given.problem), start=found.given.start)
-    least = found.best.evidence.nats - enough(first.problem)
-    if len(found.taken) > 1 or first.evidence.nats >= least:
-        return _climbed(first, leave)[:2]
-    if found.best.kind == "curve" and leave.response:  # it bends to lamps that are told wrongly
-        simple = responses.under_srgb(first)
+    given, best = found.given, found.best
+    problem, least = freed(given.problem), best.evidence.nats - enough(given.problem)
+    alone = given.once(LAMPS, promise_of_lamps)
+    if len(found.taken) > 1 or alone >= ALONE * (best.evidence.nats - given.evidence.nats):
+        first = Candidate.of(problem, start=given.start)
+        if len(found.taken) > 1 or first.evidence.nats >= least:
+            return _climbed(first, leave)[:2]
+    if best.kind == "curve" and leave.response:  # it bends to lamps that are told wrongly
+        simple = responses.under_srgb(Candidate(problem, given.result, given.evidence))
         if simple.evidence.nats >= least:
             return simple, []
-    if promise_of_lamps(found.best) < ALMOST * _enough_of_lamps(first.problem):
-        return found.best, found.taken
-    return Candidate.of(freed(found.best.problem), found.best.taken, start=found.best.start), found.taken
+    if promise_of_lamps(best) < ALMOST * _enough_of_lamps(problem):
+        return best, found.taken
+    return Candidate.of(freed(best.problem), best.taken, start=best.start), found.taken
 
 
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:

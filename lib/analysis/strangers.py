@@ -75,8 +75,8 @@ def things(view: View, factors: FormFactors, explained: Explained, audit: Audit,
     found = _found(picture, factors, wrong)
     if wrong and not found:
         found = _found(picture.tinted(), None, wrong)
-    if wrong and not found:
-        found = [(mine, picture.thing(mine, *more)) for mine, *more in picture.outlined(factors)]
+    if not found:
+        found = _outlined(picture, factors, anywhere=wrong)
     return sorted((thing for _, thing in found), key=lambda thing: -thing.pixels)
 
 
@@ -93,6 +93,21 @@ def _found(picture, factors, several):
             if not known and picture.is_thing(mine, several):
                 found.append((mine, picture.thing(mine, pixels, middle)))
     return found
+
+
+def _outlined(picture, factors, anywhere):
+    """The same by sharp lines, of the strange spots that they lie in. anywhere : also where nothing is strange"""
+    spots, found = picture.spots(), []
+    if not anywhere and not spots:
+        return []
+    outlines = [outline for outline in picture.outlined(factors) if picture.may_be_thing(outline[0])]
+    for pixels, spot, middle in spots:
+        within = [(spot & mine).sum() > HALF * size for mine, size, *_ in outlines]
+        if any(within) and picture.may_be_thing(spot):
+            sharp = max(outline[-1] for outline, inside in zip(outlines, within, strict=True) if inside)
+            found.append((spot, picture.thing(spot, pixels, middle, sharp)))
+            outlines = [outline for outline, inside in zip(outlines, within, strict=True) if not inside]
+    return found + [(mine, picture.thing(mine, *more)) for mine, *more in outlines if anywhere]
 
 
 def said(things: list[Thing], groups) -> list[Why]:
@@ -195,6 +210,11 @@ class _Picture:
 
         several : one that stands before several surfaces, or has a sharp outline nearly all around
         """
+        alone = _is_of_one(self.owner[mine])
+        return self.may_be_thing(mine) and self.sharpness(mine) > (ALL_AROUND if alone and several else HALF)
+
+    def may_be_thing(self, mine):
+        """Neither what a mirror or a texture shows, nor most of a surface: that is its material, or its light."""
         count = np.bincount(self.owner[mine & (self.owner >= 0)], minlength=1)
         if not count.any():
             return False
@@ -202,9 +222,7 @@ class _Picture:
         rung = self.climbed.get(self._group_of(most))
         if alone and rung and not (rung == "textured" and self._is_plain_but_for(mine, most)):
             return False
-        if count.max() > WHOLE * np.count_nonzero(self.owner == most):
-            return False  # most of a surface is as strange: its material, or its light
-        return self.sharpness(mine) > (ALL_AROUND if alone and several else HALF)
+        return bool(count.max() <= WHOLE * np.count_nonzero(self.owner == most))
 
     def sharpness(self, mine):
         """Share of the outline that is sharp, where it runs over the facet that is covered most; 0 where none does."""

@@ -9,6 +9,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import zipfile
 import zlib
 from pathlib import Path
@@ -53,6 +54,23 @@ def writing(path):
         yield partial
 
 
+@contextlib.contextmanager
+def writing_folders(*paths):
+    """Folders that appear together, each in the place of one of that name: yields their temporary names."""
+    partials = [_partial(path) for path in paths]
+    for partial in partials:
+        remove_partials(partial.parent)
+        partial.mkdir(parents=True)
+    try:
+        yield tuple(map(str, partials))
+        for partial, path in zip(partials, paths, strict=True):
+            shutil.rmtree(path, ignore_errors=True)
+            os.replace(partial, path)
+    finally:
+        for partial in partials:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
 def _alive(pid):
     try:
         os.kill(pid, 0)
@@ -64,10 +82,14 @@ def _alive(pid):
 
 
 def remove_partials(folder):
-    """Remove what stages that were killed left in folder; files of running stages stay."""
+    """Remove what stages that were killed left in folder; what running stages write stays."""
     for entry in sorted(Path(folder).glob(".*.partial-*")):
         match = PARTIAL.match(entry.name)
-        if match and entry.is_file() and not _alive(int(match[1])):
+        if not match or _alive(int(match[1])):
+            continue
+        if entry.is_dir():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
             entry.unlink(missing_ok=True)
 
 

@@ -11,6 +11,7 @@ SIDES = ("left", "right")
 PICKED = ("pose.csv", "pose-lines.csv")  # where the model was picked in the left photograph
 PINHOLE = "LENSMODEL_PINHOLE"
 PHOTOGRAPH = "left.png|jpg|tif|exr"
+EXPORTS = "exports/"  # the folder of all exports, one in it for each kind
 
 
 def photograph_of(side) -> str:
@@ -35,6 +36,15 @@ def alternatives(file) -> list[str]:
 def here(path) -> Path:
     """Paths below the working directory without it: what Make prints stays short, and a project can move."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
+def export_kind(file) -> str | None:
+    """The kind of export that a file belongs to.
+
+    >>> export_kind("exports/gltf/scene.glb"), export_kind("report.html")
+    ('gltf', None)
+    """
+    return file.split("/")[1] if file.startswith(EXPORTS) else None
 
 
 # ---- quick looks; where a file cannot be read, the stage that needs it says why ----

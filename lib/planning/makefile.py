@@ -41,9 +41,11 @@ def write(plan, python, root=ROOT, title=None):
         artefact.remove_partials(place)
     for path, content in commands.items():
         _write(path, content)
-    for stamp in (plan.build / "commands").glob("copy.*"):
-        goal = stamp.name.removeprefix("copy.")
-        if not plan.scene.given(goal):  # it was given and is no more: its copy must not pass for made
+    commands_of = plan.build / "commands"
+    for stamp in [path for path in commands_of.rglob("*") if path.is_file()]:
+        name = stamp.relative_to(commands_of).as_posix()
+        goal = name.removeprefix("copy.")
+        if goal != name and not plan.scene.given(goal):  # it was given and is no more: its copy must not pass for made
             (plan.build / goal).unlink(missing_ok=True)
             stamp.unlink()
     _write(plan.build / "plan.mk", text)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lib.core.stage import BadInput
-from lib.planning.files import here
+from lib.planning.files import export_kind, here
 from lib.planning.yaml_file import read_yaml
 
 REPORTS = "*.report.json"  # of the planned stages above
@@ -23,6 +23,7 @@ FACTS = (
     "refine",
     "movable",
     "unit",
+    "up",
     "augment",
     "scene",
 )
@@ -74,7 +75,7 @@ class Stage:
         return Path(self.script).is_file()
 
     def within(self, scene) -> "Stage":
-        """This stage in one scene: <left> and so on are files.
+        """This stage in one scene: <left> and so on are files; of exports those that are asked for.
 
         Where the scene has no right photograph and the stage can do without, what it would write of it falls away.
         """
@@ -89,6 +90,8 @@ class Stage:
             else:
                 may_read = _without_right(may_read)
                 writes, may_write = _without_right(writes), _without_right(may_write)
+        kinds = scene.exported or None  # None: asked for by name alone, which means all
+        writes = {o: file for o, file in writes.items() if not kinds or export_kind(file) in (None, *kinds)}
         return replace(self, reads=reads, may_read=may_read, writes=writes, may_write=may_write)
 
 

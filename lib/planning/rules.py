@@ -14,21 +14,8 @@ from lib.given.units import METRES
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 KEYS = (
-    *(
-        "board",
-        "lens",
-        "camera",
-        "lamps",
-        "reference",
-        "transfer",
-        "surfaces",
-        "explain",
-        "refine",
-        "movable",
-        "model",
-        "goals",
-    ),
-    *("augment", "params"),
+    *("board", "lens", "camera", "lamps", "reference", "transfer", "surfaces", "explain", "refine", "movable"),
+    *("model", "goals", "augment", "exports", "params"),
 )
 REFINED = ("objects",)  # what `refine` may name
 SHARPEST = 1000  # exponent of a lamp's lobe
@@ -308,6 +295,14 @@ def augment(value, scene):
                 yield f"{where}.{key}", file, "is not in the scene's folder"
     if value:
         yield "augment", [e.get("name") if isinstance(e, dict) else e for e in value], "is not built yet"
+
+
+def exports(value, kinds):
+    """kinds : of exports that a stage writes"""
+    yield from _names("exports", value, f"a list of {', '.join(kinds)}")
+    for name in value if isinstance(value, list) else ():
+        if isinstance(name, str) and name and name not in kinds:
+            yield "exports", name, f"is none of {', '.join(kinds)}"
 
 
 def params(value, stages):

@@ -19,6 +19,7 @@ from lib.planning.files import (
     SIDES,
     alternatives,
     centre_of,
+    export_kind,
     lens_of,
     object_files,
     photograph_of,
@@ -54,6 +55,7 @@ class Scene:
     surfaces: dict = field(default_factory=dict)  # group -> kind
     goals: tuple = GOALS
     augment: tuple = ()
+    exports: tuple = ()  # kinds
     params: dict = field(default_factory=dict)  # stage -> name -> value
     problems: tuple = ()  # one line each; empty if the scene may run
 
@@ -84,10 +86,20 @@ class Scene:
         }
 
     def asks(self, word) -> bool:
-        """Whether scene.yaml says something under a key, or something lies in a folder `objects/`."""
+        """Whether scene.yaml says something under a key, a file is there, or something lies in a folder `objects/`.
+
+        `exports`: also where a goal lies in one.
+        """
+        if word == "exports":
+            return bool(self.exported)
         if word == OBJECTS:
             return bool(object_files(self.given(word)))
-        return bool(self.given(word) if "." in word else getattr(self, word))
+        return bool(self.given(word) if "." in word else getattr(self, word, False))
+
+    @property
+    def exported(self) -> tuple:
+        """Kinds of exports that are asked for, by `exports` or by a goal that one of them writes."""
+        return tuple(dict.fromkeys([*self.exports, *filter(None, map(export_kind, self.goals))]))
 
     @property
     def is_told(self) -> bool:
@@ -113,6 +125,8 @@ class Scene:
             return {name: lamp[key] for name, lamp in lamps.items() if key in lamp}
         if key == "unit":
             return self.model.get("unit", "m")
+        if key == "up":
+            return self.model.get("up", "z")
         if key == "scene":
             return self.name
         if key == "transfer" and self.transfer is None:
@@ -196,7 +210,8 @@ def read(folder, stages) -> Scene:
     if not path.is_file():
         raise BadInput(f"{path}: there is no such file; a scene is a folder that holds it")
     bare = Scene(folder.name, folder)
-    outputs = {bare.views.get(file, file) for stage in stages.values() for file in stage.files}
+    outputs = {bare.views.get(file, file): stage for stage in stages.values() for file in stage.files}
+    kinds = list(dict.fromkeys(filter(None, map(export_kind, outputs))))
     checks = {
         "board": rules.board,
         "lens": rules.lens,
@@ -211,12 +226,13 @@ def read(folder, stages) -> Scene:
         "surfaces": rules.surfaces,
         "goals": lambda v: rules.goals(v, outputs, bare),
         "augment": lambda v: rules.augment(v, bare),
+        "exports": lambda v: rules.exports(v, kinds),
         "params": lambda v: rules.params(v, stages),
     }
     sound, problems = _checked(path, checks)
     if "goals" in sound:
         sound["goals"] = tuple(dict.fromkeys(sound["goals"]))
-    for key in ("augment", "refine", "movable"):
+    for key in ("augment", "refine", "movable", "exports"):
         if key in sound:
             sound[key] = tuple(sound[key])
     scene = Scene(folder.name, folder, **sound)

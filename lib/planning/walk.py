@@ -10,10 +10,11 @@ from pathlib import Path
 from lib.core.stage import BadInput
 from lib.given.causes import GEOMETRIC
 from lib.planning import doctor
-from lib.planning.files import SIDES, alternatives
+from lib.planning.files import SIDES, alternatives, export_kind
 from lib.planning.pipeline import REPORTS, Stage
 from lib.planning.scene import Scene
 
+BY_NAME = "by name"  # in `asked_by`: a scene that does not ask for the stage may have it by `make <scene>/<stage>`
 CLOSING = ("scorecard.csv",)  # a goal of every scene, whatever it says
 
 
@@ -96,9 +97,12 @@ def walk(scene, stages, build, wishes=(None,)) -> Plan:
 
     Raises BadInput that lists every problem, the scene's too.
     """
-    asked = lambda stage: not stage.asked_by or any(map(scene.asks, stage.asked_by))
+    wished = lambda stage: BY_NAME in stage.asked_by and stage.name in wishes
+    asked = lambda stage: not stage.asked_by or wished(stage) or any(map(scene.asks, stage.asked_by))
     stages = {name: stage.within(scene) for name, stage in stages.items() if asked(stage)}
     closing = [goal for goal in CLOSING if any(goal in s.files for s in stages.values())]
+    files = [file for stage in stages.values() for file in stage.outputs]
+    closing += [file for file in files if export_kind(file) in scene.exported]
     whole = _Walk(scene, stages)
     for goal in [*scene.goals, *closing]:
         whole.need(goal, goal)

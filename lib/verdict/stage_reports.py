@@ -73,6 +73,7 @@ class StageReport:
     ladder: LadderSummary | None = part(LadderSummary, absent=True)
     misfit: float | None = told(number())
     transfer_models: list = list_of(TransferModel)
+    losses: dict = told(table, dict)
     apart: dict | None = None
 
     @property

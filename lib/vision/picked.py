@@ -12,6 +12,7 @@ the model's line in the picture.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import lgamma
 
 import numpy as np
 
@@ -23,6 +24,7 @@ STEP = 1e-6  # of a parameter, for derivatives
 FOCAL_STARTS = (0.8, 1.2, 2.0)  # over the picture's larger side, where it is unknown
 LEAST = 4  # places
 MOST_WRONG = 0.6  # of what was picked
+CHANCE = 10.0  # nats by which the right ones must beat chance, where some are wrong
 FEW, COARSE = 5, 2.0  # places with an unknown focal length that check nothing;  factor worth a word
 WRONG = 0.5  # probability of being wrong, from which it is an outlier
 LARGEST_FACTOR = 6.0  # of the noise over what the file says
@@ -32,6 +34,7 @@ VIEWS = 60  # directions from which lines alone are looked at
 RIVAL = 9.0  # twice the difference of log-likelihoods below which another pose explains the picks as well
 OTHER = np.radians(2)  # so far turned is another pose
 ITERATIONS, SETTLING = 60, 25
+EXACT = 1e-3  # sigma, below which residuals are none
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +92,14 @@ def solve(picks: Picks, camera: Camera, focal_known: bool) -> Found:
     _check_spread(picks)
     fits = [_Fit(picks, camera, focal_known, *start).climbed() for start in _starts(picks, camera, focal_known)]
     if not any(fit.agrees for fit in fits):
-        looks = _looks(picks, camera, focal_known)
-        fits += [_Fit(picks, camera, focal_known, *look).settled().climbed() for look in looks]
+        fits += _from_all_around(picks, camera, focal_known)
     fits = sorted((fit for fit in fits if fit.is_sound), key=lambda fit: -fit.likelihood)
     if not fits:
         raise BadInput("no camera sees the picked places where they were picked: are X, Y, Z those of the model?")
     best = fits[0]
     if not best.agrees:
         share = f"{(~best.outlier).sum()} of {len(best.outlier)}"
-        raise BadInput(f"only {share} picked places agree with any one camera")
+        raise BadInput(f"only {share} picked places agree with any one camera, which so many may do by chance")
     return best.found(fits[1:])
 
 
@@ -167,8 +169,21 @@ def _relative_focals(camera):
     return [share * side / camera.K[0, 0] for share in FOCAL_STARTS]
 
 
-def _looks(picks, camera, focal_known):
-    """Views of all that was picked, from all around, each way up."""
+def _from_all_around(picks, camera, focal_known):
+    """[_Fit] of views from all around, until one has nothing wrong, or some of one roll agree."""
+    fits = []
+    for roll in range(4):
+        for look in _looks(picks, camera, focal_known, roll):
+            fits.append(_Fit(picks, camera, focal_known, *look).settled().climbed())
+            if fits[-1].agrees and not fits[-1].outlier.any():
+                return fits
+        if any(fit.agrees for fit in fits):
+            break
+    return fits
+
+
+def _looks(picks, camera, focal_known, roll):
+    """Views of all that was picked, from all around. roll : quarters of a turn about the view"""
     p = np.concatenate([picks.p, picks.p_ends.reshape(-1, 3)])
     middle, size = p.mean(axis=0), np.linalg.norm(p - p.mean(axis=0), axis=1).max()
     k = np.arange(VIEWS) + 0.5
@@ -181,9 +196,20 @@ def _looks(picks, camera, focal_known):
             right /= np.linalg.norm(right)
             R = np.stack([right, np.cross(right, -back) * -1, -back])
             R[1] = np.cross(R[2], R[0])
+            R[:2] = _quarters(roll) @ R[:2]
             T = np.eye(4)
             T[:3, :3], T[:3, 3] = R, -R @ (middle + far * back)
             yield T, share
+
+
+def _quarters(roll):
+    """(2, 2) rotation by quarters of a turn.
+
+    >>> _quarters(1)
+    array([[ 0, -1],
+           [ 1,  0]])
+    """
+    return np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), roll)
 
 
 # ---- the mixture ----
@@ -237,14 +263,20 @@ class _Fit:
             if not np.isfinite(r).all():
                 break
             size = np.sqrt(np.bincount(self.owner, (r / self.sigma) ** 2, n))
-            self.right = 1 / (1 + (size / (2 * np.median(size))) ** 2) ** 2
+            self.right = 1 / (1 + (size / (2 * max(np.median(size), EXACT))) ** 2) ** 2
             self._step(r)
         return self
 
     @property
     def agrees(self):
-        """Enough of what was picked is right."""
-        return self.is_sound and (~self.outlier).sum() >= (1 - MOST_WRONG) * len(self.right)
+        """More of what was picked is right than would be by chance, in the best of all choices and starts."""
+        wrong, n = int(self.outlier.sum()), len(self.right)
+        if not self.is_sound or wrong > MOST_WRONG * n:
+            return False
+        noise = self.factor * float(np.median(self.sigma)) * np.sqrt(2 * np.pi * np.e)
+        each = -0.5 * self.anywhere - np.log(noise)  # nats of an equation that holds
+        choices = lgamma(n + 1) - lgamma(wrong + 1) - lgamma(n - wrong + 1) + np.log(VIEWS)
+        return wrong == 0 or (2 * (n - wrong) - self.size) * each - choices > CHANCE
 
     def climbed(self) -> _Fit:
         """Expectation and maximisation until neither changes."""

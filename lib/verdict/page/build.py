@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lib.verdict.page import ladder, photometry, running, summary, vision
+from lib.verdict.page import exports, ladder, photometry, running, summary, vision
 from lib.verdict.page.html import asset, render, sentence
 from lib.verdict.page.parts import Parts
 
@@ -30,6 +30,7 @@ def _page(parts: Parts, width):
         photometry.models_section(parts),
         *(vision.sections(parts.vision, width) if parts.vision else ()),
         photometry.buffers_section(parts, width),
+        exports.exports_section(parts),
         running.convergence_section(parts),
         running.times_section(parts),
         running.warnings_section(parts),
@@ -38,6 +39,7 @@ def _page(parts: Parts, width):
     return render(
         "page.html",
         scene=parts.scene,
+        framed=parts.view is not None,
         about=about,
         About=sentence(about),
         verdict=summary.verdict(parts),

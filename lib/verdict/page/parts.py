@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ from lib.verdict.page.vision import SIDES, Vision, see
 from lib.vision import facets_file
 from lib.vision.matches import read_matches
 
+EXPORTS = ("gltf", "mitsuba", "radiance", "usd", "colmap", "blender")
 LEFT_OUT = re.compile(r"^#   without ([\w-]+): (.*)$", re.MULTILINE)  # in the head of plan.mk
 
 
@@ -26,6 +28,7 @@ class Parts:
     group, object, facet : (H, W) int, index + 1;  hidden, trusted : (H, W) bool;  depth : (H, W) m, 0 = nothing
     reports : {stage: StageReport};  plan : [(stage, why it was left out)]
     thumbnails : {group: {facet: ladder.Thumbnail}}
+    exports : {kind: its file, as the page names it};  view : the HTML of the exported scene in space
     """
 
     scene: str = "scene"
@@ -46,6 +49,8 @@ class Parts:
     plan: list = field(default_factory=list)
     thumbnails: dict = field(default_factory=dict)
     vision: Vision | None = None
+    exports: dict = field(default_factory=dict)
+    view: str | None = None
 
     @property
     def groups(self):
@@ -98,7 +103,13 @@ def read(files, scene, reports, page) -> Parts:
         reports=stage_reports.read_all(reports),
         plan=left_out(Path(page).parent / "plan.mk"),
         vision=_read_vision(files),
+        exports={kind: _beside(page, files[kind]) for kind in EXPORTS if files[kind]},
     )
+
+
+def _beside(page, path):
+    """A file as a page names it."""
+    return Path(os.path.relpath(path, Path(page).parent)).as_posix()
 
 
 def left_out(plan):

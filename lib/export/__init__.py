@@ -1,0 +1,1 @@
+"""The recovered scene for other programs: glTF, Mitsuba, Radiance, USD, COLMAP, Blender."""

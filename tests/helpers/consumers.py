@@ -1,0 +1,134 @@
+"""Programs that read exports, under an interpreter that has them (.venv-exports): each renders, or says what it reads.
+
+    $ .venv-exports/bin/python tests/helpers/consumers.py mitsuba exports/mitsuba out.npy 160 120 64
+
+Renders are (H, W, 3) float32, linear image values (pi x radiance); `samples` is per pixel.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+PYTHON = Path(__file__).resolve().parents[2] / ".venv-exports/bin/python"
+PATHS = "-ab 40 -ad 1 -as 0 -aa 0 -lr -12 -lw 1e-6 -ds .2 -dj 1 -dt 0 -dc 1 -st 0 -ss 1 -u+"  # of Radiance
+RENDERERS = {"mitsuba": "mitsuba", "radiance": "pyradiance", "blender": "bpy"}  # kind -> package
+
+
+def absent(package):
+    """Why a test that needs a package is skipped, or None."""
+    if PYTHON.is_file():
+        looked = f"import importlib.util as u, sys; sys.exit(u.find_spec({package!r}) is None)"
+        if subprocess.run([PYTHON, "-c", looked]).returncode == 0:
+            return None
+    return f"{package}: not installed: make .venv-exports/ready"
+
+
+def ask(kind, folder, *more):
+    """What a program says of an export: a picture, or what JSON it prints."""
+    import numpy as np
+
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "out.npy"
+        argv = [PYTHON, __file__, kind, folder, out, *more]
+        done = subprocess.run(list(map(str, argv)), capture_output=True, text=True, timeout=900)
+        assert done.returncode == 0, done.stderr + done.stdout
+        return np.load(out) if out.exists() else json.loads(done.stdout.splitlines()[-1])
+
+
+# ---- what follows runs under the other interpreter ----
+
+
+def mitsuba(folder, out, width, height, samples):
+    import mitsuba as mi
+    import numpy as np
+
+    mi.set_variant("scalar_rgb")
+    scene = mi.load_file(str(folder / "scene.xml"), spp=samples)
+    picture = np.array(mi.render(scene, spp=samples))[..., :3]
+    assert picture.shape == (height, width, 3)
+    np.save(out, np.pi * picture)
+
+
+def radiance(folder, out, width, height, samples):
+    """By paths, one ray on at each bounce: what converges without settings."""
+    import numpy as np
+    import pyradiance
+
+    home = Path(pyradiance.__file__).parent
+    env = {**os.environ, "RAYPATH": f".:{home / 'lib'}"}
+    words = [*PATHS.split(), "-h", "-fff"]
+    with tempfile.TemporaryDirectory() as scratch:
+        octree = Path(scratch) / "scene.oct"
+        with open(octree, "wb") as file:
+            subprocess.run([home / "bin/oconv", "scene.rad"], stdout=file, env=env, cwd=folder, check=True)
+        view = f"-ff -c {samples} -pj 1 -vf view.vf -x {width} -y {height} -pa 0".split()
+        rays = subprocess.run([home / "bin/vwrays", *view], stdout=subprocess.PIPE, env=env, cwd=folder, check=True)
+        trace = [home / "bin/rtrace", *words, octree]
+        done = subprocess.run(trace, input=rays.stdout, stdout=subprocess.PIPE, env=env, cwd=folder, check=True)
+    values = np.frombuffer(done.stdout, "f4").reshape(height, width, samples, 3)
+    np.save(out, np.pi * values.mean(axis=2))
+
+
+def blender(folder, out, width, height, samples):
+    """The script as it is, but for its samples; the file is linear, without the exposure."""
+    import runpy
+
+    import bpy
+    import numpy as np
+
+    script = runpy.run_path(str(folder / "scene.py"))
+    script["main"].__globals__["SAMPLES"] = samples
+    script["main"]([])
+    scene = bpy.data.scenes["anasyn"]
+    bpy.ops.wm.save_as_mainfile(filepath=str(out.with_suffix(".blend")))
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_depth = "32"
+    scene.render.filepath = str(out.with_suffix(".exr"))
+    bpy.ops.render.render(write_still=True, scene=scene.name)
+    image = bpy.data.images.load(scene.render.filepath)
+    image.colorspace_settings.name = "Non-Color"
+    assert tuple(image.size) == (width, height)
+    pixels = np.array(image.pixels[:], np.float32).reshape(height, width, image.channels)
+    np.save(out, np.pi * pixels[::-1, :, :3])
+
+
+def usd(folder, out):
+    """What is in the stage, and whether its shaders' inputs are those that MaterialX knows."""
+    import MaterialX
+    from pxr import Gf, Usd, UsdGeom, UsdShade
+
+    stage = Usd.Stage.Open(str(folder / "scene.usda"))
+    library = MaterialX.createDocument()
+    where = MaterialX.getDefaultDataSearchPath()
+    MaterialX.loadLibraries(MaterialX.getDefaultDataLibraryFolders(), where, library)
+    strange, bound = [], {}
+    for prim in stage.Traverse():
+        if prim.IsA(UsdShade.Shader):
+            shader = UsdShade.Shader(prim)
+            definition = library.getNodeDef(shader.GetIdAttr().Get())
+            if definition:
+                known = {i.getName(): i.getType() for i in definition.getActiveInputs()}
+                strange += [i.GetBaseName() for i in shader.GetInputs() if i.GetBaseName() not in known]
+        if prim.IsA(UsdGeom.Mesh):
+            material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+            surface = material.ComputeSurfaceSource()[0]
+            bound[prim.GetName()] = {
+                i.GetBaseName(): list(v) if isinstance(v, Gf.Vec3f) else v
+                for i in surface.GetInputs()
+                if isinstance(v := i.Get(), Gf.Vec3f | float | int)
+            }
+    camera = next(p for p in stage.Traverse() if p.IsA(UsdGeom.Camera))
+    frustum = UsdGeom.Camera(camera).GetCamera(Usd.TimeCode.Default()).frustum
+    to_window = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+    at = [list(to_window.Transform(Gf.Vec3d(*p))) for p in ((1.3, 2.0, 0.7), (2.0, 2.5, 1.0))]
+    up = str(UsdGeom.GetStageUpAxis(stage))
+    metres = UsdGeom.GetStageMetersPerUnit(stage)
+    print(json.dumps({"strange": strange, "bound": bound, "at": at, "up": up, "metres": metres}))
+
+
+if __name__ == "__main__":
+    kind, folder, out, *numbers = sys.argv[1:]
+    globals()[kind](Path(folder).resolve(), Path(out), *map(int, numbers))
