@@ -14,13 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lib.light import lamps, specular
+from lib.light import specular
 from lib.light.chains import GLOSSY, MIRROR, Finish
 from lib.light.form_factors import CHUNK
 from lib.light.mirror_view import MirrorView, through_mirrors
-from lib.light.surface import backproject, side_normals
-from lib.picture import indirect, light_map, pixel_light, ray_light
+from lib.light.surface import backproject
+from lib.picture import indirect, pixel_light, ray_light
 from lib.picture import reflections_kernels as kernels
+from lib.picture.curved import outside, shade
 from lib.picture.leaves import interpolated
 from lib.picture.lighting import Lighting
 from lib.picture.pixels import pixels
@@ -140,17 +141,19 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
     power = lit.ways.chains.power(lit.ways.rho_s)
     out.linear[virtual.y, virtual.x] = B * power[out.chain[virtual.y, virtual.x]]
     out.indirect[virtual.y, virtual.x] = between
-    gone, light = _outside(lit, view)
+    gone, light = outside(lit, view)
     out.linear.reshape(H * W, -1)[mirror[gone]] = light
+    _with_curved(subject, lit, out, mirror, view)
 
 
-def _outside(lit, view: MirrorView):
-    """Rays that leave the model after a mirror (n,), and what they show, (n, C)."""
-    if lit.shown.glow is None:
-        return np.zeros(0, np.int64), np.zeros((0, lit.appearance.channels))
-    gone = np.flatnonzero((view.facet < 0) & (view.chain > 0))
-    light = lit.shown.glow.light(np.hstack([view.p, view.direction])[gone])
-    return gone, light * lit.ways.chains.power(lit.ways.rho_s)[view.chain[gone]]
+def _with_curved(subject, lit, out: Reflections, mirror, view: MirrorView):
+    """Smooth surfaces and curved mirrors that mirrors show, into out.linear."""
+    if subject.curved is None:
+        return
+    at = np.flatnonzero(subject.curved.has(view.facet))
+    light = subject.curved.light(subject, lit, view.facet[at], view.p[at], view.direction[at])
+    C = light.shape[1]
+    out.linear.reshape(-1, C)[mirror[at]] = light * lit.ways.chains.power(lit.ways.rho_s)[view.chain[at]]
 
 
 def lobes(lit: Lighting, p, facet, direction, chain, n_rays, *, seed=19):
@@ -211,28 +214,20 @@ def _smooth_edges(subject, lit, out: Reflections, mirror):
     out.facts["mixed_pixels"] = len(y)
 
 
-def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
-    """(n, C) what rays through mirrors show.
+def _beside(out: Reflections, view: MirrorView, y, x):
+    """For `curved.shade`: light of the pixels about (y, x) that show the same."""
 
-    Lamps by few shadow rays each; other light from the pixels about (y, x) that show the same, and from the light map
-    where there are none.
-    """
-    surface = subject.surface
-    power = lit.ways.chains.power(lit.ways.rho_s)
-    there = np.flatnonzero(view.facet >= 0)
-    B = np.zeros((len(view.facet), subject.channels))
-    p, side = view.p[there], view.side[there].astype(np.int32)
-    normals = side_normals(surface)
-    by_lamps = lamps.direct(surface, lit.lamps, p, normals, side, len(lit.E), n_samples=4) @ lit.E
-    near, found = kernels.beside(out.indirect, out.label, _label(view.facet, view.chain)[there], y[there], x[there])
-    lost = np.flatnonzero(~found)
-    near[lost] = light_map.looked_up(lit.shown.between, lit.shown, surface, p[lost], side[lost])
-    B[there] = (
-        lit.radiosities(by_lamps + near, view.facet[there], side, p, view.direction[there]) * power[view.chain[there]]
-    )
-    gone, light = _outside(lit, view)
-    B[gone] = light
-    glossy = there[_kind(subject, view.facet[there]) == GLOSSY]
+    def near(there):
+        label = _label(view.facet, view.chain)[there]
+        return kernels.beside(out.indirect, out.label, label, y[there], x[there])
+
+    return near
+
+
+def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
+    """(n, C) what rays through mirrors show, whose indirect light is known beside (y, x)."""
+    B = shade(subject, lit, view, _beside(out, view, y, x))
+    glossy = np.flatnonzero((view.facet >= 0) & (_kind(subject, view.facet) == GLOSSY))
     if len(glossy):
         B[glossy] += lobes(
             lit, view.p[glossy], view.facet[glossy], view.direction[glossy], view.chain[glossy], EDGE_LOBE_RAYS
