@@ -93,5 +93,3 @@ def between(cameras: list[Lens], frames) -> list[Lens]:
         T[:3, :3], T[:3, 3] = R, -R @ c
         result.append(replace(cameras[0], intrinsics=numbers, T_cam_ref=T))
     return result
-
-

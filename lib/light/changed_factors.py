@@ -140,8 +140,12 @@ class _Delta:
         indptr, indices = both.indptr.astype(np.int64), both.indices.astype(np.int32)
         row = np.repeat(np.arange(n), np.diff(indptr))
         at = lambda matrix: np.asarray(matrix[row, indices], np.float32).reshape(-1)
-        tally = lambda kind, which: scale * (
-            np.bincount(patch[which & (new == kind)], minlength=n) - np.bincount(patch[which & (old == kind)], minlength=n)
+        tally = lambda kind, which: (
+            scale
+            * (
+                np.bincount(patch[which & (new == kind)], minlength=n)
+                - np.bincount(patch[which & (old == kind)], minlength=n)
+            )
         )
         every = np.ones(len(patch), bool)
         alive = lambda values: np.where(there, values, 0).astype(np.float32)

@@ -1,8 +1,8 @@
 """New pictures of a recovered scene: entries of `augment` (data/SCENE.md), from files to files.
 
-    scene = read(entry, files)
-    made = picture(scene, quality)                  # the photograph with the change, or a view of its own
-    sequence(scene, quality, folder, preview, bar)
+scene = read(entry, files)
+made = picture(scene, quality)                  # the photograph with the change, or a view of its own
+sequence(scene, quality, folder, preview, bar)
 """
 
 from __future__ import annotations
@@ -213,7 +213,9 @@ def sequence(scene: Scene, quality: Quality, folder, preview, bar, *, timing=Non
                 values = _made(scene.changed, linear, 8).values
                 with timing("write"):
                     image.write_png8(partial / f"{k + 1:04d}.png", values)
-                    writer.write(np.ascontiguousarray(np.broadcast_to(values, (*values.shape[:2], 3))[..., ::-1], np.uint8))
+                    writer.write(
+                        np.ascontiguousarray(np.broadcast_to(values, (*values.shape[:2], 3))[..., ::-1], np.uint8)
+                    )
                 bar((k + 1) / len(way))
             writer.release()
             shutil.rmtree(folder, ignore_errors=True)

@@ -4,9 +4,9 @@
     changed = subject(change, recovered)            # what lib/picture/differential.py renders
 
 Facets keep their numbers. Those of removed objects have no triangles any more; a moved object's are new, as are those
-of what is added, and stand behind the model's. A mirror of more than a few facets, and any on an ellipsoid, is *curved*:
-the eye sees what it reflects, but to its surroundings it is a diffuse surface that reflects as much. That is exact in
-power, and of a small sphere in an even light also in direction; its caustics are left out.
+of what is added, and stand behind the model's. A mirror of more than a few facets, and any on an ellipsoid, is
+*curved*: the eye sees what it reflects, but to its surroundings it is a diffuse surface that reflects as much. That is
+exact in power; its caustics are left out.
 """
 
 from __future__ import annotations

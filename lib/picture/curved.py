@@ -68,7 +68,7 @@ class Curved:
         return (facet >= 0) & (self.mirror | (self.smooth >= 0))[np.maximum(facet, 0)]
 
     def place(self, surface: Surface, facet, p, direction):
-        """(n, 3) places and (n, 3) unit normals towards the eye, of rays along unit directions that meet facets at p."""
+        """(n, 3) places, and unit normals (n, 3) towards the eye, of rays along `direction` that meet facets at p."""
         n = surface.normal[facet] * -np.sign(np.einsum("ij,ij->i", surface.normal[facet], direction))[:, None]
         p = np.array(p, float)
         at = np.flatnonzero(self.smooth[facet] >= 0)
@@ -85,8 +85,9 @@ class Curved:
         return p, n
 
     def light(self, subject, lit, facet, p, direction, depth=0):
-        """(n, C) what leaves facets (n,) that this has, met at p (n, 3) by rays along directions (n, 3), towards the eye.
+        """(n, C) what leaves facets (n,) that this has towards the eye, whose rays meet them at p (n, 3).
 
+        direction : (n, 3) unit, of the rays
         subject : Subject;  lit : Lighting
         """
         p, n = self.place(subject.surface, facet, p, direction)

@@ -41,7 +41,7 @@ class Pair:
 def renderings(recovered: Subject, changed: Subject, quality: Quality, *, timing=None) -> Pair:
     """Of one camera."""
     timing = timing or (lambda label: contextlib.nullcontext())
-    quality = replace(quality, steady=True)
+    quality, changed = replace(quality, steady=True), as_drawn(recovered, changed)
     lit = [_light(recovered, quality, timing)]
     lit.append(_light(changed, replace(quality, step=lit[0].shown.step), timing))
     subjects = (recovered, changed)
@@ -158,10 +158,53 @@ def _both(subjects, lit, seen: Pixels, by_lamps, quality, difference):
     return indirect.gather_by(look, rho, seen, brightness, **how)
 
 
+def as_drawn(recovered: Subject, changed: Subject) -> Subject:
+    """The changed scene, drawn as before where it shows nothing else.
+
+    A place that an edge just touches may go to either side of it when a scene is drawn with more in it.
+    """
+    if changed.surface is recovered.surface:
+        return changed
+    subjects = (recovered, changed)
+    there = [np.unique(s.surface.facet[s.surface.group[s.surface.facet] >= 0]) for s in subjects]
+    touched = np.zeros(recovered.facet.size, bool)
+    for s, other in zip(subjects, there[::-1], strict=True):
+        strange = np.append(~np.isin(np.arange(s.view.model.n_facets), other), False)  # the last is nothing
+        touched |= strange[s.facet.reshape(-1)]
+        pixel = np.repeat(np.asarray(s.coverage["pixel"], np.int64), np.diff(s.coverage["start"]))
+        touched[pixel[strange[s.coverage["facet"]]]] = True
+    facet = np.where(touched.reshape(recovered.facet.shape), changed.facet, recovered.facet)
+    pieces = [_only(s.coverage, touched if s is changed else ~touched) for s in subjects]
+    pixel = np.concatenate([p["pixel"] for p in pieces])
+    order = np.argsort(pixel, kind="stable")
+    number = np.concatenate([np.diff(p["start"]) for p in pieces])
+    first = np.cumsum(number) - number
+    of = np.repeat(first[order], number[order]) + _counting(number[order])
+    whole = {key: np.concatenate([p[key] for p in pieces])[of] for key in ("facet", "count")}
+    whole |= {"pixel": pixel[order], "start": np.append(0, np.cumsum(number[order])).astype(np.int32)}
+    return replace(changed, view=replace(changed.view, facet=facet), coverage=whole)
+
+
+def _counting(number):
+    """0 ... n - 1 for each n of `number`, one after the other."""
+    return np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+
+
+def _only(pieces, which):
+    """The A-buffer of the pixels of which `which` (H W,) is set."""
+    keep = which[np.asarray(pieces["pixel"], np.int64)]
+    number = np.diff(pieces["start"])
+    of = np.repeat(keep, number)
+    start = np.append(0, np.cumsum(number[keep])).astype(np.int32)
+    whole = {key: np.asarray(pieces[key])[of] for key in ("facet", "count")}
+    return whole | {"pixel": np.asarray(pieces["pixel"])[keep], "start": start}
+
+
 def new_share(recovered: Subject, changed: Subject):
     """(H, W) share of each pixel that shows another facet than before."""
     before, after = (shares(s) for s in (recovered, changed))
-    return np.clip(1 - np.asarray(before.minimum(after).sum(axis=1)).ravel(), 0, 1).reshape(recovered.facet.shape)
+    new = 1 - np.asarray(before.minimum(after).sum(axis=1)).ravel()
+    return np.where(new > 1e-9, np.minimum(new, 1), 0).reshape(recovered.facet.shape)
 
 
 def shares(subject: Subject):

@@ -47,7 +47,7 @@ def light_map(
     texels : about so many;  step : local, their width instead, and then the same rays at a texel whatever others see
     samples : shadow rays of each to each lamp;  n_rays : gathering rays of each, or 0
     """
-    grid = _grids(surface, np.unique(mesh.side), texels, step)
+    grid = _grids(surface, _in_order(mesh.side), texels, step)
     normals = surfaces.side_normals(surface)
     f, rho = grid.side // 2, rho_facet.astype(np.float32)
     good = within(grid.p, f, facet_triangles(surface), normals[2 * f])
@@ -72,6 +72,12 @@ def light_map(
         between[at] = gathered_light(surface, shown, lamps, E, *places, n_rays, 650, numbers)[0]
     between = between[fill]
     return replace(shown, value=first + between * rho[f], irradiance=irradiance + between, between=between)
+
+
+def _in_order(side):
+    """The sides of patches as they come: those that a change has added stand behind the others."""
+    sides, first = np.unique(side, return_index=True)
+    return sides[np.argsort(first)]
 
 
 class _Grids(NamedTuple):

@@ -31,16 +31,14 @@ def augment(value, scene):
         if not isinstance(one, dict):
             yield where, one, "is not a mapping"
             continue
-        found = list(entry(where, one))
-        yield from found
+        yield from entry(where, one)
         name = one.get("name")
         if isinstance(name, str) and name in names:
             yield f"{where}.name", name, "stands there twice"
         elif isinstance(name, str):
             names.add(name)
-        if not found:
-            for key, file in files(one):
-                yield from scene_file(f"{where}.{key}", file, scene)
+        for key, file in files(one):
+            yield from scene_file(f"{where}.{key}", file, scene)
 
 
 def entry(where, value):
@@ -185,7 +183,8 @@ def _lobe_and_texture(where, value, kind):
         alpha = value["alpha"]
         good = isinstance(alpha, list) and len(alpha) == 2 and all(map(finite, alpha))
         if not (good and ALPHA[0] <= alpha[1] <= alpha[0] <= ALPHA[1]):
-            yield f"{where}.alpha", alpha, f"is not [alpha_x, alpha_y], alpha_x >= alpha_y, from {ALPHA[0]} to {ALPHA[1]}"
+            low, high = ALPHA
+            yield f"{where}.alpha", alpha, f"is not [alpha_x, alpha_y], alpha_x >= alpha_y, from {low} to {high}"
     if "tangent" in value:
         tangent = value["tangent"]
         if not (isinstance(tangent, list) and len(tangent) == 3 and all(map(finite, tangent)) and any(tangent)):
@@ -201,16 +200,19 @@ def _lobe_and_texture(where, value, kind):
 
 
 def files(value):
-    """[(key, file)] of a sound entry, as it names them."""
-    found = [("camera", value["camera"])] if "camera" in value else []
+    """[(key, file)] of an entry, as it names them; what is no file's name is left out, for `entry` has a line for it."""
+    found = [("camera", value.get("camera"))]
     found += [("cameras", file) for file in listed(value.get("cameras", []))]
-    for thing in listed(value.get("add", [])):
-        found += [("add.file", thing["file"])] if "file" in thing else []
-        material = thing["material"]
-        for one in [material] if is_one(material) else material.values():
-            found += [("add.material.texture", one["texture"])] if "texture" in one else []
-    found += [("change.texture", one["texture"]) for one in value.get("change", {}).values() if "texture" in one]
-    return found
+    things = [thing for thing in listed(value.get("add", [])) if isinstance(thing, dict)]
+    materials = [("change", value.get("change"))]
+    for thing in things:
+        found.append(("add.file", thing.get("file")))
+        material = thing.get("material")
+        materials.append(("add.material", {"": material} if is_one(material) else material))
+    for key, groups in materials:
+        every = groups.values() if isinstance(groups, dict) else ()
+        found += [(f"{key}.texture", one.get("texture")) for one in every if isinstance(one, dict)]
+    return [(key, file) for key, file in found if _is_file(file)]
 
 
 def located(value, folder) -> dict:

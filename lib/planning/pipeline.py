@@ -56,7 +56,7 @@ class Stage:
         return self.name.removesuffix(f".{self.entry}") if self.entry else self.name
 
     def of_entries(self, scene) -> list["Stage"]:
-        """This stage, or one for each entry of its list in scene.yaml, `<entry>` in its files the entry's name.
+        """This stage, or one for each entry of its list in scene.yaml, `<name>` in its files the entry's name.
 
         An entry that asks for a sequence has the files of `may_write`, one that does not those of `writes`.
         """
@@ -65,7 +65,7 @@ class Stage:
         stages = []
         for value in getattr(scene, self.each):
             name = value["name"]
-            named = lambda files, name=name: {k: f.replace("<entry>", name) for k, f in files.items()}
+            named = lambda files, name=name: {k: f.replace("<name>", name) for k, f in files.items()}
             writes, beside = (self.may_write, self.beside) if "cameras" in value else (self.writes, [])
             stages.append(
                 replace(
@@ -74,7 +74,7 @@ class Stage:
                     entry=name,
                     writes=named(writes),
                     may_write={},
-                    beside=[folder.replace("<entry>", name) for folder in beside],
+                    beside=[folder.replace("<name>", name) for folder in beside],
                 )
             )
         return stages

@@ -52,7 +52,9 @@ CASES = {
         },
         "moved": {"move": {"bin": [-0.6, 0.5, 0]}},
         "night": {"lamps": {"lamp": [10, 10, 16]}},
-        "ball": {"add": {"sphere": 0.15, "at": [4.4, 1.6, 0.91], "material": {"kind": "diffuse", "rho_d": [0.7, 0.4, 0.1]}}},
+        "ball": {
+            "add": {"sphere": 0.15, "at": [4.4, 1.6, 0.91], "material": {"kind": "diffuse", "rho_d": [0.7, 0.4, 0.1]}}
+        },
     },
     "office-mirror": _six([4.45, 2.1, 0.92], "books", ["carton"], [0.35, 0.5, 0.7]),
 }
