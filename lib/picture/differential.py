@@ -62,15 +62,18 @@ def renderings(recovered: Subject, changed: Subject, quality: Quality, *, timing
         places += len(leaves)
         for k in range(2):
             direct[k][seen.y, seen.x], between[k][seen.y, seen.x] = by_lamps[k], light[k]
-    seen = pixels(changed.surface, camera, np.where(same, -1, changed.facet))
-    with timing("direct"):
-        by_lamps = _direct(changed, lit[1], seen, quality)
-    with timing("indirect"):
-        own = {"n_rays": quality.n_rays, "contact": quality.contact, "tolerance": quality.tolerance}
-        of = lit[1]
-        leaves = indirect.gather(changed.surface, of.shown, of.lamps, of.E, seen, by_lamps, **own)
-        direct[1][seen.y, seen.x], between[1][seen.y, seen.x] = by_lamps, interpolated(leaves, seen)
-    there = (np.where(same, recovered.facet, -1), changed.facet)
+    # what is seen only before, in pixels that still show some of it, and only after
+    new = new_share(recovered, changed)
+    there = (np.where(same | (new < 1), recovered.facet, -1), changed.facet)
+    own = {"n_rays": quality.n_rays, "contact": quality.contact, "tolerance": quality.tolerance}
+    for k, (subject, of) in enumerate(zip(subjects, lit, strict=True)):
+        seen = pixels(subject.surface, camera, np.where(same, -1, there[k]))
+        with timing("direct"):
+            by_lamps = _direct(subject, of, seen, quality)
+        with timing("indirect"):
+            leaves = indirect.gather(subject.surface, of.shown, of.lamps, of.E, seen, by_lamps, **own)
+            direct[k][seen.y, seen.x], between[k][seen.y, seen.x] = by_lamps, interpolated(leaves, seen)
+        places += len(leaves)
     pictures = []
     for k, subject in enumerate(subjects):
         subject = replace(subject, view=replace(subject.view, facet=there[k]))
@@ -78,8 +81,8 @@ def renderings(recovered: Subject, changed: Subject, quality: Quality, *, timing
         at = seen.y, seen.x
         made = rendering.finished(subject, lit[k], quality, seen, direct[k][at], between[k][at], timing=timing)
         pictures.append(subject.through_lens(made.linear))
-    facts = {"places": places + len(leaves), "pixels_of_another_facet": int((~same).sum())}
-    return Pair(*pictures, new_share(recovered, changed)[..., None], facts)
+    facts = {"places": places, "pixels_of_another_facet": int((~same).sum())}
+    return Pair(*pictures, new[..., None], facts)
 
 
 def _same(before, after):
