@@ -22,7 +22,8 @@ from lib.picture.pixels import Pixels, pixels
 from lib.picture.ray_light import gathered_light
 from lib.picture.subject import Quality, Subject
 
-SLIGHT = 1e-3  # change of light, as a share, below which what lies beside it does not matter
+SLIGHT = 0.03  # change of light, as a share, below which what lies beside it does not matter
+MORE = 4  # times the rays of other light, for the difference: it is small, and its places are few
 FINE = 0.3  # of the tolerance of other light: that of the difference
 
 
@@ -155,7 +156,8 @@ def _both(subjects, lit, seen: Pixels, by_lamps, quality, difference):
 
     rho = np.maximum(*(of.shown.rho[: len(subjects[0].surface.normal)] for of in lit))
     brightness = np.mean([values.mean(axis=1) for values in by_lamps], axis=0)
-    how = {"n_rays": quality.n_rays, "contact": quality.contact, "tolerance": quality.tolerance}
+    rays = MORE * quality.n_rays if difference else quality.n_rays
+    how = {"n_rays": rays, "contact": quality.contact, "tolerance": quality.tolerance}
     if difference:
         how |= {"tolerance": FINE * quality.tolerance, "judged": lambda both: both[:, C:] - both[:, :C]}
     return indirect.gather_by(look, rho, seen, brightness, **how)
