@@ -145,18 +145,21 @@ def _power(lit):
     return np.ones((1, lit.appearance.channels)) if lit.ways is None else lit.ways.chains.power(lit.ways.rho_s)
 
 
-def shade(subject, lit, view: MirrorView, near=None, *, depth=0):
+def shade(subject, lit, view: MirrorView, near=None, *, depth=0, numbers=None):
     """(n, C) what rays through mirrors show, without the lobes of glossy surfaces.
 
     Lamps by few shadow rays each; other light from the light map.
     near : numbers of rays (m,) -> (m, C) other light, where it is known better, and (m,) bool where it is
+    numbers : (n,) of the rays, see lamps.direct
     """
     surface, power = subject.surface, _power(lit)
     there = np.flatnonzero(view.facet >= 0)
     B = np.zeros((len(view.facet), subject.channels))
     p, side = view.p[there], view.side[there].astype(np.int32)
     normals = side_normals(surface)
-    by_lamps = lamps.direct(surface, lit.lamps, p, normals, side, len(lit.E), n_samples=4) @ lit.E
+    numbers = None if numbers is None else numbers[there]
+    factor = lamps.direct(surface, lit.lamps, p, normals, side, len(lit.E), n_samples=4, numbers=numbers)
+    by_lamps = factor @ lit.E
     between, found = (np.zeros_like(by_lamps), np.zeros(len(there), bool)) if near is None else near(there)
     lost = np.flatnonzero(~found)
     between[lost] = light_map.looked_up(lit.shown.between, lit.shown, surface, p[lost], side[lost])

@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lib.picture import indirect, pixel_light, rendering
-from lib.picture.lighting import lighting
+from lib.picture import indirect, pixel_light, reflections, rendering
 from lib.picture.leaves import interpolated
+from lib.picture.lighting import lighting
 from lib.picture.pixels import Pixels, pixels
 from lib.picture.ray_light import gathered_light
 from lib.picture.subject import Quality, Subject
 
+NEAR = 1e-5  # local: two places that mirrors show are the same
 SLIGHT = 0.03  # change of light, as a share, below which what lies beside it does not matter
 MORE = 4  # times the rays of other light, for the difference: it is small, and its places are few
 FINE = 0.3  # of the tolerance of other light: that of the difference
@@ -48,42 +49,92 @@ def renderings(recovered: Subject, changed: Subject, quality: Quality, *, timing
     subjects = (recovered, changed)
     camera = recovered.view.camera
     same = _same(recovered.facet, changed.facet)
-    # light by lamps and other light, as pictures, before and after
-    shape = (*same.shape, recovered.channels)
-    direct, between = [np.zeros(shape), np.zeros(shape)], [np.zeros(shape), np.zeros(shape)]
-    altered = _altered(recovered, changed)
-    places = 0
-    for which, difference in ((same & ~altered, True), (same & altered, False)):
-        seen = pixels(changed.surface, camera, np.where(which, changed.facet, -1))
-        with timing("direct"):
-            by_lamps = [_direct(s, of, seen, quality) for s, of in zip(subjects, lit, strict=True)]
-        with timing("indirect"):
-            leaves = _both(subjects, lit, seen, by_lamps, quality, difference)
-            light = np.split(interpolated(leaves, seen), 2, axis=1)
-        places += len(leaves)
-        for k in range(2):
-            direct[k][seen.y, seen.x], between[k][seen.y, seen.x] = by_lamps[k], light[k]
-    # what is seen only before, in pixels that still show some of it, and only after
     new = new_share(recovered, changed)
+    # what is seen only before counts in pixels that still show some of it
     there = (np.where(same | (new < 1), recovered.facet, -1), changed.facet)
-    own = {"n_rays": quality.n_rays, "contact": quality.contact, "tolerance": quality.tolerance}
-    for k, (subject, of) in enumerate(zip(subjects, lit, strict=True)):
-        seen = pixels(subject.surface, camera, np.where(same, -1, there[k]))
-        with timing("direct"):
-            by_lamps = _direct(subject, of, seen, quality)
-        with timing("indirect"):
-            leaves = indirect.gather(subject.surface, of.shown, of.lamps, of.E, seen, by_lamps, **own)
-            direct[k][seen.y, seen.x], between[k][seen.y, seen.x] = by_lamps, interpolated(leaves, seen)
-        places += len(leaves)
+    subjects = [replace(s, view=replace(s.view, facet=facet)) for s, facet in zip(subjects, there, strict=True)]
+    seen = [lambda which, s=s: pixels(s.surface, camera, np.where(which, s.facet, -1)) for s in subjects]
+    makers = _Makers(subjects, lit, quality, timing)
+    lights = makers.lights(seen, same, _altered(recovered, changed))
+    virtual = makers.of_mirrors() if all(len(reflections.mirrors(s)) for s in subjects) else (None, None)
     pictures = []
-    for k, subject in enumerate(subjects):
-        subject = replace(subject, view=replace(subject.view, facet=there[k]))
-        seen = pixels(subject.surface, camera, there[k])
-        at = seen.y, seen.x
-        made = rendering.finished(subject, lit[k], quality, seen, direct[k][at], between[k][at], timing=timing)
+    for subject, of, light, mirrored, whole in zip(subjects, lit, lights, virtual, seen, strict=True):
+        every = whole(np.ones(same.shape, bool))
+        made = rendering.finished(subject, of, quality, every, *light(every), timing=timing, virtual=mirrored)
         pictures.append(subject.through_lens(made.linear))
-    facts = {"places": places, "pixels_of_another_facet": int((~same).sum())}
+    facts = {"places": makers.places, "pixels_of_another_facet": int((~same).sum())}
     return Pair(*pictures, new[..., None], facts)
+
+
+class _Makers:
+    """The irradiance of the pixels of both scenes, by the same rays where they show the same.
+
+    places : at which other light was gathered
+    """
+
+    def __init__(self, subjects, lit, quality, timing):
+        self.subjects, self.lit, self.quality, self.timing = subjects, lit, quality, timing
+        self.shape = (*subjects[0].facet.shape, subjects[0].channels)
+        self.places = 0
+
+    def lights(self, seen, same, altered, mirrored=False):
+        """For each scene: Pixels -> irradiance (M, C) by lamps, and by other surfaces.
+
+        seen : for each scene, (H, W) bool -> the Pixels of these pixels;  same, altered : (H, W) bool
+        mirrored : the pixels are those of a virtual picture
+        """
+        direct, between = ([np.zeros(self.shape), np.zeros(self.shape)] for _ in range(2))
+        for which, difference in ((same & ~altered, True), (same & altered, False)):
+            those = seen[1](which)
+            with self.timing("direct"):
+                by_lamps = [self._direct(k, those, mirrored) for k in range(2)]
+            with self.timing("indirect"):
+                leaves = _both(self.subjects, self.lit, those, by_lamps, self.quality, difference)
+                light = np.split(interpolated(leaves, those), 2, axis=1)
+            self.places += len(leaves)
+            for k in range(2):
+                direct[k][those.y, those.x], between[k][those.y, those.x] = by_lamps[k], light[k]
+        own = {"n_rays": self.quality.n_rays, "contact": self.quality.contact, "tolerance": self.quality.tolerance}
+        for k, (subject, of) in enumerate(zip(self.subjects, self.lit, strict=True)):
+            those = seen[k](~same)
+            with self.timing("direct"):
+                by_lamps = self._direct(k, those, mirrored)
+            with self.timing("indirect"):
+                leaves = indirect.gather(subject.surface, of.shown, of.lamps, of.E, those, by_lamps, **own)
+                direct[k][those.y, those.x], between[k][those.y, those.x] = by_lamps, interpolated(leaves, those)
+            self.places += len(leaves)
+        at = lambda k: lambda those: (direct[k][those.y, those.x], between[k][those.y, those.x])
+        return at(0), at(1)
+
+    def of_mirrors(self):
+        """The same of what mirrors show."""
+        mirror = [reflections.mirrors(s) for s in self.subjects]
+        views = [reflections.mirror_view(*each) for each in zip(self.subjects, self.lit, mirror, strict=True)]
+        pictures = [_virtual(self.shape, *each) for each in zip(mirror, views, strict=True)]
+        (facet, p), (facet_too, p_too) = pictures
+        same = (facet == facet_too) & (facet >= 0) & (np.abs(p - p_too).max(axis=2) < NEAR)
+        altered = np.isin(facet, np.flatnonzero(_differs(*self.subjects)))
+
+        def those(k):
+            subject = self.subjects[k]
+            return lambda which: reflections.virtual_pixels(subject, mirror[k], views[k], which.reshape(-1)[mirror[k]])
+
+        return self.lights([those(0), those(1)], same, altered, mirrored=True)
+
+    def _direct(self, k, seen: Pixels, mirrored):
+        """(M, C) irradiance by the lamps."""
+        subject, of = self.subjects[k], self.lit[k]
+        camera = None if mirrored else subject.view.camera
+        how = {"many": self.quality.shadow_rays, "steady": True}
+        factor, _ = pixel_light.direct(subject.surface, of.lamps, len(of.E), seen, camera, **how)
+        return factor @ of.E
+
+
+def _virtual(shape, mirror, view):
+    """(H, W) facets that mirrors show, -1, and (H, W, 3) where, local."""
+    facet, p = np.full(shape[:2], -1), np.zeros((*shape[:2], 3))
+    facet.reshape(-1)[mirror], p.reshape(-1, 3)[mirror] = view.facet, view.p
+    return facet, p
 
 
 def _same(before, after):
@@ -105,16 +156,19 @@ def _step(subject, quality):
 
 def _altered(recovered, changed):
     """(H, W) bool: pixels of facets that reflect otherwise than before."""
+    return np.isin(recovered.facet, np.flatnonzero(_differs(recovered, changed)))
+
+
+def _differs(recovered, changed):
+    """(F,) bool: facets of the model as it was that reflect otherwise than before."""
     a, b = recovered.appearance, changed.appearance
-    shown = np.unique(recovered.facet[recovered.facet >= 0])
+    shown = np.arange(recovered.view.model.n_facets)
     groups = recovered.surface.group[shown]
     differs = (a.rho[groups] != b.rho[groups]).any(axis=1)
     kinds = [_finishes(look) for look in (a, b)]
     differs |= np.array([kinds[0].get(g) != kinds[1].get(g) for g in groups], bool)
     differs |= np.array([a.maps.get(f) is not b.maps.get(f) for f in shown], bool)
-    if changed.curved is not None:
-        differs |= changed.curved.has(shown)
-    return np.isin(recovered.facet, shown[differs])
+    return differs if changed.curved is None else differs | changed.curved.has(shown)
 
 
 def _finishes(look):
@@ -124,13 +178,6 @@ def _finishes(look):
     f = look.finish
     rows = zip(f.groups, f.kind, f.alpha.tolist(), f.tangent.tolist(), look.rho_s.tolist(), strict=True)
     return {g: (kind, alpha, tangent, rho) for g, kind, alpha, tangent, rho in rows}
-
-
-def _direct(subject, lit, seen: Pixels, quality):
-    """(M, C) irradiance by the lamps."""
-    how = {"many": quality.shadow_rays, "steady": True}
-    factor, _ = pixel_light.direct(subject.surface, lit.lamps, len(lit.E), seen, subject.view.camera, **how)
-    return factor @ lit.E
 
 
 def _both(subjects, lit, seen: Pixels, by_lamps, quality, difference):

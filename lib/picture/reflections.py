@@ -59,19 +59,23 @@ class GlossyPlaces(NamedTuple):
     chain: np.ndarray
 
 
-def picture(subject: Subject, lit: Lighting, quality: Quality) -> Reflections:
-    """What mirrors and glossy surfaces add to the pixels that show them at once."""
+def picture(subject: Subject, lit: Lighting, quality: Quality, light=None) -> Reflections:
+    """What mirrors and glossy surfaces add to the pixels that show them at once.
+
+    light : Pixels of the virtual picture -> their irradiance (M, C) by lamps, and by other surfaces; by default found
+        here
+    """
     H, W = subject.facet.shape
     C = subject.channels
     kind = _kind(subject, subject.facet).reshape(-1)
     out = Reflections(
         np.zeros((H, W, C)), np.full((H, W), -1, np.int32), np.zeros((H, W), np.int32), np.zeros((H, W, C))
     )
-    mirror, glossy = np.flatnonzero(kind == MIRROR), np.flatnonzero(kind == GLOSSY)
+    mirror, glossy = mirrors(subject), np.flatnonzero(kind == GLOSSY)
     places = []
     if len(mirror):
-        view = _mirror_view(subject, lit, mirror)
-        _light_virtual_picture(subject, lit, quality, out, mirror, view)
+        view = mirror_view(subject, lit, mirror)
+        _light_virtual_picture(subject, lit, quality, out, mirror, view, light)
         at = np.flatnonzero((view.facet >= 0) & (_kind(subject, view.facet) == GLOSSY))
         places.append(GlossyPlaces(mirror[at], view.p[at], view.facet[at], view.direction[at], view.chain[at]))
         out.facts["mirror_pixels"] = len(mirror)
@@ -85,8 +89,15 @@ def picture(subject: Subject, lit: Lighting, quality: Quality) -> Reflections:
         out.linear.reshape(H * W, C)[at.pixel] += light
         out.facts["glossy_pixels"] = out.facts.get("glossy_pixels", 0) + len(at.pixel)
     if len(mirror):
-        _smooth_edges(subject, lit, out, mirror)
+        _smooth_edges(subject, lit, out, mirror, quality.steady)
     return out
+
+
+def mirrors(subject: Subject):
+    """(n,) flat pixels that show a mirror at once."""
+    if subject.appearance.finish is None:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(_kind(subject, subject.facet).reshape(-1) == MIRROR)
 
 
 def _kind(subject, facet):
@@ -104,7 +115,7 @@ def _rays(subject, x, y):
     return np.hstack([np.broadcast_to(local.points(camera.centre), v.shape), v]).astype(np.float32)
 
 
-def _mirror_view(subject, lit, mirror) -> MirrorView:
+def mirror_view(subject: Subject, lit: Lighting, mirror) -> MirrorView:
     """What the pixels `mirror` show in the end: as the fit has found it, or traced now."""
     if subject.traced is not None and np.array_equal(subject.traced.pixel, mirror):
         return subject.traced.view
@@ -113,13 +124,17 @@ def _mirror_view(subject, lit, mirror) -> MirrorView:
     return through_mirrors(subject.surface, subject.appearance.finish, lit.ways.chains, rays)
 
 
-def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view: MirrorView):
-    """Light what mirrors show as the real picture is lit: into out.linear, facet, chain and indirect."""
+def virtual_pixels(subject: Subject, mirror, view: MirrorView, which=None):
+    """The Pixels of the virtual picture. which : (n,) bool, those of `mirror` that are wanted"""
     H, W = subject.facet.shape
-    p, side = np.zeros((H * W, 3)), np.zeros(H * W, np.int32)
+    p, side, facet = np.zeros((H * W, 3)), np.zeros(H * W, np.int32), np.full(H * W, -1, np.int32)
     p[mirror], side[mirror] = view.p, view.side
-    out.facet.reshape(-1)[mirror], out.chain.reshape(-1)[mirror] = view.facet, view.chain
-    virtual = pixels(subject.surface, None, out.facet, (p.reshape(H, W, 3), side.reshape(H, W)))
+    facet[mirror] = view.facet if which is None else np.where(which, view.facet, -1)
+    return pixels(subject.surface, None, facet.reshape(H, W), (p.reshape(H, W, 3), side.reshape(H, W)))
+
+
+def _light(subject, lit, quality, virtual):
+    """Irradiance (M, C) of the virtual picture's pixels, by lamps and by other surfaces."""
     factor, _ = pixel_light.direct(subject.surface, lit.lamps, len(lit.E), virtual, None, many=quality.shadow_rays)
     by_lamps = factor @ lit.E
     leaves = indirect.gather(
@@ -133,7 +148,15 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
         contact=quality.contact,
         tolerance=quality.tolerance,
     )
-    between = interpolated(leaves, virtual)
+    return by_lamps, interpolated(leaves, virtual)
+
+
+def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view: MirrorView, light):
+    """Light what mirrors show as the real picture is lit: into out.linear, facet, chain and indirect."""
+    H, W = subject.facet.shape
+    out.facet.reshape(-1)[mirror], out.chain.reshape(-1)[mirror] = view.facet, view.chain
+    virtual = virtual_pixels(subject, mirror, view)
+    by_lamps, between = _light(subject, lit, quality, virtual) if light is None else light(virtual)
     along = np.zeros((H * W, 3))
     along[mirror] = view.direction
     along = along[virtual.y * W + virtual.x]
@@ -141,8 +164,8 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
     power = lit.ways.chains.power(lit.ways.rho_s)
     out.linear[virtual.y, virtual.x] = B * power[out.chain[virtual.y, virtual.x]]
     out.indirect[virtual.y, virtual.x] = between
-    gone, light = outside(lit, view)
-    out.linear.reshape(H * W, -1)[mirror[gone]] = light
+    gone, beyond = outside(lit, view)
+    out.linear.reshape(H * W, -1)[mirror[gone]] = beyond
     _with_curved(subject, lit, out, mirror, view)
 
 
@@ -186,7 +209,7 @@ def _label(facet, chain):
     return facet.astype(np.int64) + chain.astype(np.int64) * (1 << 32)
 
 
-def _smooth_edges(subject, lit, out: Reflections, mirror):
+def _smooth_edges(subject, lit, out: Reflections, mirror, steady):
     """Render anew, in place, the mirror's pixels beside an edge of the virtual picture, from SUB x SUB places each.
 
     Such pixels are mixed, or a shadow in the corner there falls on a part of them.
@@ -209,7 +232,8 @@ def _smooth_edges(subject, lit, out: Reflections, mirror):
     dy, dx = (d.ravel() for d in np.meshgrid(offset, offset, indexing="ij"))
     rays = _rays(subject, (x[:, None] + dx).ravel(), (y[:, None] + dy).ravel())
     view = through_mirrors(subject.surface, subject.appearance.finish, lit.ways.chains, rays)
-    B = _shade(subject, lit, out, view, np.repeat(y, SUB * SUB), np.repeat(x, SUB * SUB))
+    number = (np.repeat((y * W + x) * SUB * SUB, SUB * SUB) + np.tile(np.arange(SUB * SUB), len(y))) if steady else None
+    B = _shade(subject, lit, out, view, np.repeat(y, SUB * SUB), np.repeat(x, SUB * SUB), number)
     out.linear[y, x] = B.reshape(len(y), SUB * SUB, -1).mean(axis=1)
     out.facts["mixed_pixels"] = len(y)
 
@@ -224,9 +248,9 @@ def _beside(out: Reflections, view: MirrorView, y, x):
     return near
 
 
-def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
-    """(n, C) what rays through mirrors show, whose indirect light is known beside (y, x)."""
-    B = shade(subject, lit, view, _beside(out, view, y, x))
+def _shade(subject, lit, out: Reflections, view: MirrorView, y, x, numbers):
+    """(n, C) what rays through mirrors show, whose indirect light is known beside (y, x). numbers : of `shade`"""
+    B = shade(subject, lit, view, _beside(out, view, y, x), numbers=numbers)
     glossy = np.flatnonzero((view.facet >= 0) & (_kind(subject, view.facet) == GLOSSY))
     if len(glossy):
         B[glossy] += lobes(
@@ -235,7 +259,7 @@ def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
     return B
 
 
-def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections):
+def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections, *, steady=False):
     """(S, C): what specular surfaces add to the fragments of the mixed pixels of the real picture.
 
     Of mirrors it is the mean of the rays through each fragment's sub-pixels, of glossy surfaces the lobe at the
@@ -249,7 +273,7 @@ def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections)
         owner, pixel, k = pieces.owner[sub], pieces.pixel[sub // 64], sub % 64
         rays = _rays(subject, pixel % W + (k % 8 + 0.5) / 8 - 0.5, pixel // W + (k // 8 + 0.5) / 8 - 0.5)
         view = through_mirrors(subject.surface, subject.appearance.finish, lit.ways.chains, rays)
-        B = _shade(subject, lit, mirrored, view, pixel // W, pixel % W)
+        B = _shade(subject, lit, mirrored, view, pixel // W, pixel % W, 64 * pixel + k if steady else None)
         n = np.maximum(np.bincount(owner, minlength=len(total)), 1)
         for c in range(subject.channels):
             total[:, c] += np.bincount(owner, B[:, c], len(total)) / n

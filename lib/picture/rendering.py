@@ -87,10 +87,13 @@ def of_lit(subject: Subject, lit: Lighting, quality: Quality, *, timing, trace=N
     return replace(picture, facts=_facts(lit, penumbra, leaves) | picture.facts)
 
 
-def finished(subject: Subject, lit: Lighting, quality: Quality, seen: Pixels, by_lamps, between, *, timing) -> Picture:
+def finished(
+    subject: Subject, lit: Lighting, quality: Quality, seen: Pixels, by_lamps, between, *, timing, virtual=None
+) -> Picture:
     """The picture where the pixels of one facet are lit: what they reflect, what mirrors add, and mixed pixels.
 
     by_lamps, between : (M, C) irradiance of `seen`, by lamps and by other surfaces
+    virtual : the same of what mirrors show, see reflections.picture
     """
     surface, camera = subject.surface, subject.view.camera
     eye = surface.local.points(camera.centre)
@@ -98,7 +101,7 @@ def finished(subject: Subject, lit: Lighting, quality: Quality, seen: Pixels, by
     mirrored = None
     if subject.appearance.finish is not None:
         with timing("reflections"):
-            mirrored = reflections.picture(subject, lit, quality)
+            mirrored = reflections.picture(subject, lit, quality, virtual)
             B += mirrored.linear[seen.y, seen.x]
     if subject.curved is not None:
         with timing("curved"):
@@ -107,7 +110,7 @@ def finished(subject: Subject, lit: Lighting, quality: Quality, seen: Pixels, by
         pieces = fragments.fragments(surface, camera, subject.coverage)
         B_there = _of_fragments(subject, lit, seen, by_lamps, between, pieces, quality.steady)
         if mirrored is not None:
-            B_there += reflections.of_fragments(subject, lit, pieces, mirrored)
+            B_there += reflections.of_fragments(subject, lit, pieces, mirrored, steady=quality.steady)
         if subject.curved is not None:
             B_there = curved.of_fragments(subject, lit, pieces, B_there)
         linear = compose(subject.facet.shape, seen, B, pieces, B_there)
