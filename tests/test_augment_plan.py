@@ -139,7 +139,8 @@ def test_names_are_looked_for_in_the_model(folder, tmp_path):
 
     scene, _ = read(
         folder,
-        "augment:\n  - {name: a, remove: [x], move: {y: [0, 0, 1]}, change: {z: {rho_d: [0, 0, 0]}}, lamps: {q: [1, 1, 1]}}\n"
+        "augment:\n  - {name: a, remove: [x], move: {y: [0, 0, 1]}, change: {z: {rho_d: [0, 0, 0]}}, lamps:"
+        " {q: [1, 1, 1]}}\n"
         "  - {name: b, add: {file: teapot.obj, material: {iron: {kind: mirror}}}}",
     )
     found = list(augment.inspect(scene, models.load(folder / "model.obj")))

@@ -1,7 +1,9 @@
 """stages/augment.py and lib/picture: changes of a recovered scene, by the laws that they must keep."""
 
+import itertools
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -195,7 +197,7 @@ def test_the_photographs_camera_shows_the_rendering(scene):
 
 def test_a_bent_lens_shows_the_pinholes_picture_bent(scene, tmp_path):
     path = tmp_path / "lens.cameramodel"
-    text = open(scene["camera"]).read().replace("LENSMODEL_PINHOLE", "LENSMODEL_OPENCV4")
+    text = Path(scene["camera"]).read_text().replace("LENSMODEL_PINHOLE", "LENSMODEL_OPENCV4")
     path.write_text(text.replace("55.5, 41.5,", "55.5, 41.5, 0.0, 0.0, 0.0, 0.0,"))
     straight = made(scene, camera=str(path)).linear  # its coefficients are 0: resampled, and the same
     assert np.sqrt(np.mean((straight - made(scene, camera=scene["camera"]).linear) ** 2)) < 0.05
@@ -225,7 +227,9 @@ def test_cameras_go_straight_and_turn_evenly(scene):
     b = replace(a, T_cam_ref=looking([2.4, 0.4, 1.6], [3.0, 2.2, 0.6]))
     way = motion.between([a, b], 5)
     assert np.allclose([c.centre[0] for c in way], [0.4, 0.9, 1.4, 1.9, 2.4])
-    turns = [np.arccos((np.trace(x.T_cam_ref[:3, :3] @ y.T_cam_ref[:3, :3].T) - 1) / 2) for x, y in zip(way, way[1:])]
+    turns = [
+        np.arccos((np.trace(x.T_cam_ref[:3, :3] @ y.T_cam_ref[:3, :3].T) - 1) / 2) for x, y in itertools.pairwise(way)
+    ]
     assert np.allclose(turns, turns[0])
 
 
@@ -320,3 +324,58 @@ def test_nothing_of_the_eye_goes_into_a_smooth_mirrors_inside(scene):
     inside = read.changed.curved.has(read.changed.facet)
     assert inside.sum() > 100 and pair.after[inside].min() > 0.02
     assert isinstance(read.changed.curved, curved.Curved)
+
+
+LOW = subjects.Quality(n_rays=16, shadow_rays=4, n_texels=2000, lobe_rays=8)
+GREY = {"kind": "diffuse", "rho_d": [0.5] * 3}
+ANYTHING = {
+    "lamp removed": {"remove": ["lamp"]},
+    "lamp moved": {"move": {"lamp": [0.3, 0.2, -0.3]}},
+    "all at once": {
+        "remove": ["crate"],
+        "lamps": {"lamp": [5, 5, 6]},
+        "change": {"north": {"kind": "mirror"}, "east": {"rho_d": [0.2, 0.3, 0.4]}},
+        "add": [
+            {"sphere": 0.2, "at": [2, 2, 0.2], "material": {"emittance": [3, 2, 1]}},
+            {
+                "ellipsoid": [0.3, 0.2, 0.2],
+                "at": [2.6, 1.4, 0.3],
+                "material": {"kind": "coloured_mirror", "rho_s": [1, 0.8, 0.5]},
+            },
+        ],
+    },
+    "glossy": {"change": {"bottom": {"kind": "glossy", "rho_d": [0.3] * 3, "rho_s": [0.4] * 3, "alpha": [0.2, 0.1]}}},
+    "ball of plaster": {"add": {"sphere": 0.3, "at": [2, 1.2, 0.3], "material": GREY}},
+    "half in the floor": {"add": {"sphere": 0.3, "at": [2, 1.2, 0.0], "material": GREY}},
+}
+
+
+@pytest.mark.parametrize("entry", ANYTHING.values(), ids=ANYTHING)
+def test_any_change_gives_a_whole_picture(scene, entry):
+    one = made(scene, LOW, **entry)
+    assert np.isfinite(one.linear).all() and (one.linear >= 0).all()
+    assert one.values.shape == (84, 112, 3) and one.facts["changed_pixels"] > 100
+
+
+def test_a_file_of_many_mirrors_is_curved_and_one_of_few_is_not(scene, tmp_path):
+    ball = changes.ellipsoid([0.3, 0.3, 0.3], "steel", finer=1)
+    from lib.given.model import glb_writer
+
+    glb_writer.write_glb(tmp_path / "ball.glb", ball)
+    mirror = {"kind": "mirror"}
+    for file, curved_ones in ((str(tmp_path / "ball.glb"), 80), (scene["model"].replace("model", "crate"), 0)):
+        add = {"file": file, "at": [0, 0, 0.4], "material": {"steel": mirror} if curved_ones else mirror}
+        read = augmented.read({"name": "x", "remove": ["crate"], "add": add}, scene).changed
+        found = 0 if read.curved is None else int(read.curved.mirror.sum())
+        assert found == curved_ones and (read.appearance.finish is None) == (curved_ones > 0)
+        assert np.isfinite(made(scene, LOW, remove=["crate"], add=add).linear).all()
+
+
+def test_a_grey_photograph_stays_grey(scene, tmp_path):
+    values = image.read_photograph(scene["photograph"]).values.mean(axis=2)
+    image.write_png8(tmp_path / "left.png", np.round(255 * values).astype(np.uint8))
+    grey = scene | {"photograph": str(tmp_path / "left.png")}
+    same = made(grey)
+    assert same.values.shape == (84, 112, 1) and (same.values == photograph(grey)).all()
+    reddish = made(grey, LOW, change={"bottom": {"rho_d": [0.9, 0.3, 0.3]}})  # as bright as 0.5, which it was
+    assert np.abs(reddish.values - photograph(grey)).max() <= 1

@@ -69,7 +69,7 @@ def read(entry, files, *, n_rays=512) -> Scene:
     model = recovered.view.model
     stored = factors_file.read(files["formfactors"], model, files["model"])
     found = materials.read(files["materials"])
-    change = changes.apply(entry, files["materials"], found, model, stored.lamps)
+    change = changes.apply(entry, files["materials"], found, model, stored.lamps, recovered.channels)
     view, pieces = recovered.view, recovered.coverage
     if change.model is not model:
         view, pieces = seen(change.model, view.camera, photograph=view.photograph)

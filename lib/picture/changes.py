@@ -48,13 +48,15 @@ class Change:
     ellipsoids: list = field(default_factory=list)
 
 
-def apply(entry, path, found: Materials, model: Model, lamps) -> Change:
+def apply(entry, path, found: Materials, model: Model, lamps, channels=3) -> Change:
     """The scene that an entry of `augment` asks for, whose files are paths.
 
+    channels : of the photograph; a grey one sees the mean of a colour
     found : what materials.json at `path` holds;  lamps : names of the groups that emit
     BadInput: names that the scene has not, materials that cannot be, files that cannot be used.
     """
     _known(entry, path, found, model, lamps)
+    entry = _grey(entry) if channels == 1 else entry
     made = Change(model, found, tuple(lamps))
     removed = entry.get("remove", [])
     if removed:
@@ -72,6 +74,15 @@ def apply(entry, path, found: Materials, model: Model, lamps) -> Change:
     if not len(made.model.triangles):
         raise BadInput("entry: remove: nothing is left of the model")
     return _with_curved(made)
+
+
+def _grey(value, key=None):
+    """An entry with the means of its colours."""
+    if isinstance(value, dict):
+        return {k: _grey(v, k if key != "lamps" else "emittance") for k, v in value.items()}
+    if key in ("rho_d", "rho_s", "emittance"):
+        return 3 * [sum(value) / 3]
+    return [_grey(v) for v in value] if isinstance(value, list) else value
 
 
 def _known(entry, path, found, model, lamps):
@@ -143,9 +154,10 @@ def _added(made: Change, number, thing):
         bare = models.load(thing["file"])
     else:
         axes = np.array(thing.get("ellipsoid") or 3 * [thing["sphere"]], float)
-        bare = changes.ellipsoid(axes, one)
+        bare = changes.luminous(axes, one) if "emittance" in thing["material"] else changes.ellipsoid(axes, one)
         facets = made.model.n_facets + np.arange(bare.n_facets)
-        ellipsoids.append(Ellipsoid(facets, np.asarray(at, float), np.diag(1 / (scale * axes)) @ turn.T))
+        if "emittance" not in thing["material"]:
+            ellipsoids.append(Ellipsoid(facets, np.asarray(at, float), np.diag(1 / (scale * axes)) @ turn.T))
     material = thing["material"]
     whole = any(not isinstance(value, dict) for value in material.values())
     of = {group: material if whole else material.get(group) for group in bare.groups}
@@ -202,9 +214,10 @@ def subject(change: Change, recovered: Subject, stored, view, coverage, path, *,
         if was in maps:
             maps[facet] = replace(maps[was], facet=facet)
     for group, picture in change.images.items():
+        own = picture if channels == 3 else picture.mean(axis=2, keepdims=True)
         for f in np.flatnonzero(model.facet_group == model.groups.index(group)):
             if f in surface.facet:
-                maps[int(f)] = albedo_maps.painted(surface, int(f), picture[..., :channels])
+                maps[int(f)] = albedo_maps.painted(surface, int(f), own)
     traced = recovered.traced
     same = surface is before and traced is not None and look.finish is not None
     if not (same and traced.fits(look.finish, len(factors.mesh), factors.lobe_of_lamps)):

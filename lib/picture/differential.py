@@ -24,6 +24,7 @@ from lib.picture.subject import Quality, Subject
 
 NEAR = 1e-5  # local: two places that mirrors show are the same
 SLIGHT = 0.03  # change of light, as a share, below which what lies beside it does not matter
+MUCH = 0.1  # change of all light, as a share, from which on a difference is no less than the light itself
 MORE = 4  # times the rays of other light, for the difference: it is small, and its places are few
 FINE = 0.3  # of the tolerance of other light: that of the difference
 
@@ -76,6 +77,7 @@ class _Makers:
         self.subjects, self.lit, self.quality, self.timing = subjects, lit, quality, timing
         self.shape = (*subjects[0].facet.shape, subjects[0].channels)
         self.places = 0
+        self.slight = _change(*lit) < MUCH
 
     def lights(self, seen, same, altered, mirrored=False):
         """For each scene: Pixels -> irradiance (M, C) by lamps, and by other surfaces.
@@ -87,9 +89,9 @@ class _Makers:
         for which, difference in ((same & ~altered, True), (same & altered, False)):
             those = seen[1](which)
             with self.timing("direct"):
-                by_lamps = [self._direct(k, those, mirrored) for k in range(2)]
+                by_lamps = self._direct_of_both(those, mirrored)
             with self.timing("indirect"):
-                leaves = _both(self.subjects, self.lit, those, by_lamps, self.quality, difference)
+                leaves = _both(self.subjects, self.lit, those, by_lamps, self.quality, difference and self.slight)
                 light = np.split(interpolated(leaves, those), 2, axis=1)
             self.places += len(leaves)
             for k in range(2):
@@ -98,7 +100,7 @@ class _Makers:
         for k, (subject, of) in enumerate(zip(self.subjects, self.lit, strict=True)):
             those = seen[k](~same)
             with self.timing("direct"):
-                by_lamps = self._direct(k, those, mirrored)
+                by_lamps = self._factors(k, those, mirrored) @ of.E
             with self.timing("indirect"):
                 leaves = indirect.gather(subject.surface, of.shown, of.lamps, of.E, those, by_lamps, **own)
                 direct[k][those.y, those.x], between[k][those.y, those.x] = by_lamps, interpolated(leaves, those)
@@ -121,13 +123,28 @@ class _Makers:
 
         return self.lights([those(0), those(1)], same, altered, mirrored=True)
 
-    def _direct(self, k, seen: Pixels, mirrored):
-        """(M, C) irradiance by the lamps."""
+    def _direct_of_both(self, seen: Pixels, mirrored):
+        """For each scene (M, C) irradiance by the lamps. Where neither they nor what casts shadows has changed, the
+        factors are the same."""
+        before, after = self.lit
+        factor = self._factors(0, seen, mirrored)
+        unmoved = self.subjects[0].surface is self.subjects[1].surface
+        alike = unmoved and before.ways is None and after.ways is None and np.array_equal(before.lobes, after.lobes)
+        return [factor @ before.E, (factor if alike else self._factors(1, seen, mirrored)) @ after.E]
+
+    def _factors(self, k, seen: Pixels, mirrored):
+        """(M, L) factors to the lamps of one scene."""
         subject, of = self.subjects[k], self.lit[k]
         camera = None if mirrored else subject.view.camera
         how = {"many": self.quality.shadow_rays, "steady": True}
-        factor, _ = pixel_light.direct(subject.surface, of.lamps, len(of.E), seen, camera, **how)
-        return factor @ of.E
+        return pixel_light.direct(subject.surface, of.lamps, len(of.E), seen, camera, **how)[0]
+
+
+def _change(before, after):
+    """By which share the light changes, the mean over the places that rays see before the change."""
+    light = before.shown.irradiance.sum(axis=1)
+    now = after.shown.irradiance[: len(light)].sum(axis=1)
+    return float(np.abs(now - light).sum() / max(light.sum(), 1e-300))
 
 
 def _virtual(shape, mirror, view):

@@ -200,7 +200,7 @@ def _lobe_and_texture(where, value, kind):
 
 
 def files(value):
-    """[(key, file)] of an entry, as it names them; what is no file's name is left out, for `entry` has a line for it."""
+    """[(key, file)] of an entry, as it names them, but what is no file's name: `entry` has a line for that."""
     found = [("camera", value.get("camera"))]
     found += [("cameras", file) for file in listed(value.get("cameras", []))]
     things = [thing for thing in listed(value.get("add", [])) if isinstance(thing, dict)]

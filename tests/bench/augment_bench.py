@@ -1,8 +1,8 @@
 """Changed photographs against Mitsuba's picture of the changed scene, and CPU time against making all anew.
 
-    $ python -m tests.bench.augment_bench OUT/ TRUTH/ [scene ...]      OUT/augment.csv, OUT/<scene>.<case>.png
+    $ python -m tests.bench.augment_bench OUT/ TRUTH/ BUILD/ [scene ...]      OUT/augment.csv, OUT/<scene>.<case>.png
 
-TRUTH/ holds what augment_truth.py writes. The scenes must have been made (build/<scene>). `rmse` is of display values over
+TRUTH/ holds what augment_truth.py writes. The scenes must have been made into BUILD/. `rmse` is of display values over
 the whole picture, `noise` that of the truth's own path tracing, `apart` their difference in squares, `identical` the
 share of pixels whose true change is below a quarter step that are the photograph's to the last bit: of those pixels
 whose true change the truth's noise lets tell.
@@ -12,6 +12,7 @@ import csv
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,13 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from lib.buffers import index_buffer  # noqa: E402
 from lib.given import cameras, image, materials  # noqa: E402
-from lib.light import adapt, form_factors, outside  # noqa: E402
+from lib.given.model import glb_writer  # noqa: E402
+from lib.given.model.parts import only  # noqa: E402
+from lib.light import adapt, form_factors  # noqa: E402
 from lib.light import lamps as lamps_  # noqa: E402
 from lib.light import surface as surfaces  # noqa: E402
-from lib.picture import augmented, rendering  # noqa: E402
+from lib.picture import augmented, changes, differential, rendering  # noqa: E402
 from lib.picture.subject import Quality  # noqa: E402
 from lib.synthetic.optics import look  # noqa: E402
 from tests.bench.augment_cases import CASES, FILES, VIEW  # noqa: E402
@@ -60,7 +62,8 @@ def entry_of(scene, case, folder):
 
 
 def anew(scene):
-    """CPU seconds of making the changed scene's picture from its model: form factors, index buffers, rendering."""
+    """CPU seconds of making the changed scene's picture from its model (form factors, index buffers, rendering), and of
+    that and the picture of the scene as it was, of which the difference is made."""
     began = time.process_time()
     subject, lamps = scene.changed, scene.changed.factors.own_lamps
     surfaces._kept.clear()
@@ -71,21 +74,24 @@ def anew(scene):
     lamps_.patch_direct(surface, mesh, emitters, len(lamps), n_points=32)
     view, pieces = augmented.seen(subject.view.model, subject.view.camera, subject.view.photograph)
     rendering.render(subject, QUALITY)
-    return time.process_time() - began
+    one = time.process_time() - began
+    rendering.render(scene.recovered, QUALITY)
+    return one, time.process_time() - began
 
 
 def display(linear, gamma):
     return np.clip(linear, 0, 1) ** (1 / gamma)
 
 
-def measured(scene, case, out, truth, build="build"):
+def measured(scene, case, out, truth, build):
     """A row of the table."""
     files = files_of(scene, build)
     entry = entry_of(scene, case, out)
     began = time.process_time()
     read = augmented.read(entry, files)
     made = augmented.picture(read, QUALITY)
-    row = {"scene": scene, "case": case, "cpu_s": time.process_time() - began, "anew_s": anew(read)}
+    row = {"scene": scene, "case": case, "cpu_s": time.process_time() - began}
+    row |= dict(zip(("one_anew_s", "both_anew_s"), anew(read), strict=True))
     image.write_png8(out / f"{scene}.{case}.png", made.values)
     path = truth / f"{scene}.{case}.npz"
     if not path.is_file():
@@ -110,11 +116,51 @@ def measured(scene, case, out, truth, build="build"):
     return row
 
 
+def reinserted(scene, objects, out, build):
+    """Objects of the photograph taken out of it, and put back into what is left: the errors against the photograph.
+
+    Two steps, each of which sees only the picture and the model before it: `off` are the display RMSE over the objects'
+    pixels, over those that their absence changed beside them (shadow, bounced light), and over the rest.
+    """
+    files = files_of(scene, build)
+    gone = augmented.read({"name": "gone", "remove": objects}, files)
+    empty = augmented.picture(gone, QUALITY)
+    photograph = gone.recovered.view.photograph
+    left = replace(photograph, values=empty.values / 255)
+    room = differential.as_drawn(gone.recovered, gone.changed)
+    room = replace(room, view=replace(room.view, photograph=left))
+    found, model = materials.read(files["materials"]), room.view.model
+    things = []
+    for name in objects:
+        thing = only(gone.recovered.view.model, [name])
+        path = out / f"{name}.glb"
+        glb_writer.write_glb(path, thing)
+        of = {g: {"kind": found.groups[g].kind, "rho_d": list(found.groups[g].rho_d)} for g in thing.groups}
+        things.append({"file": str(path), "at": [0, 0, 0], "material": of})
+    change = changes.apply({"add": things}, files["materials"], found, model, room.factors.own_lamps)
+    view, pieces = augmented.seen(change.model, room.view.camera, left)
+    back = changes.subject(change, room, room.factors, view, pieces, files["materials"])
+    pair = differential.renderings(room, back, QUALITY)
+    linear, _ = differential.composed(left, pair, room.transfer)
+    error = np.round(255 * differential.shown(linear, room.transfer)) / 255 - photograph.values
+    own = np.isin(gone.recovered.surface.object[gone.recovered.facet], [model.objects.index(n) for n in objects])
+    beside = (np.abs(left.values - photograph.values).max(axis=2) > 1.5 * STEP) & ~own
+    image.write_png8(out / f"{scene}.empty.png", empty.values)
+    image.write_png8(out / f"{scene}.back.png", np.round(255 * (error + photograph.values)).astype(np.uint8))
+    return {
+        "own": rms(error[own]),
+        "beside": rms(error[beside]),
+        "rest": rms(error[~own & ~beside]),
+        "px": int(own.sum()),
+        "px_beside": int(beside.sum()),
+    }
+
+
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def main(out, truth, *scenes, build="build"):
+def main(out, truth, build, *scenes):
     out, truth = Path(out), Path(truth)
     out.mkdir(parents=True, exist_ok=True)
     rendering.warm_up(3, shiny=True)
