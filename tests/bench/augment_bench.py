@@ -10,6 +10,7 @@ whose true change the truth's noise lets tell.
 
 import csv
 import json
+import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -103,7 +104,7 @@ def measured(scene, case, out, truth, build):
     error = values - shown
     sigma = noise * np.maximum(true, 1e-4) ** (1 / gamma - 1) / gamma * (true < 1)
     row |= {"rmse": rms(error), "noise": rms(sigma)}
-    row["apart"] = np.sqrt(max(row["rmse"] ** 2 - row["noise"] ** 2, 0))
+    row["apart"] = float(np.sqrt(max(row["rmse"] ** 2 - row["noise"] ** 2, 0)))
     if "camera" not in entry:
         before = image.read_photograph(files["photograph"]).values
         row["photograph"] = rms(before - shown)
@@ -160,6 +161,60 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def gallery(out, scene, path, cases=("viewpoint", "egg", "mirror", "painted", "lamp", "removed")):
+    """A picture of the cases that have a truth: ours above, Mitsuba's below, at half the size."""
+    import cv2
+
+    columns = []
+    for case in cases:
+        if (out / f"{scene}.{case}.side.png").is_file():
+            values = image.read_photograph(out / f"{scene}.{case}.side.png").values
+            own, true, _ = np.split(values, 3, axis=1)
+            both = np.vstack([own, true])
+            columns.append(cv2.resize(both, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    if columns:
+        cv2.imwrite(
+            str(path), np.rint(255 * np.hstack(columns)[..., ::-1]).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 88]
+        )
+
+
+RAYS = (16, 64, 256, 1024)
+
+
+def curves(out, cases=("egg", "removed", "moved", "night")):
+    """For `make bench`: error against CPU time over the number of rays; yardstick: the most, with fourfold shadow rays.
+
+    Writes OUT/augment.csv and OUT/augment.png.
+    """
+    import matplotlib.pyplot as plt
+
+    build = out / "augment"
+    subprocess.run(["make", "-s", f"BUILD={build}", "office"], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    rendering.warm_up(3, shiny=True)
+    files, rows = files_of("office", build), []
+    for case in cases:
+        read = augmented.read(entry_of("office", case, build), files)
+        best = augmented.picture(read, replace(QUALITY, n_rays=RAYS[-1], shadow_rays=256, tolerance=0.0025)).linear
+        for rays in RAYS:
+            began = time.process_time()
+            made = augmented.picture(read, replace(QUALITY, n_rays=rays))
+            spent = time.process_time() - began
+            T = read.recovered.transfer
+            error = rms(differential.shown(made.linear, T) - differential.shown(best, T))
+            rows.append((case, rays, spent, error, made.facts["changed_pixels"]))
+            print("   ", *rows[-1], flush=True)
+    with open(out / "augment.csv", "w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([("case", "rays", "cpu_s", "rmse", "changed_pixels"), *rows])
+    figure, axes = plt.subplots(figsize=(6, 4.6))
+    for case in cases:
+        own = [row for row in rows if row[0] == case]
+        axes.plot([row[2] for row in own], [row[3] for row in own], "o-", label=case)
+    axes.set(xlabel="CPU s", ylabel="display RMSE against many rays", yscale="log", title="office, changed")
+    axes.legend(fontsize=7)
+    figure.savefig(out / "augment.png", dpi=110)
+    plt.close(figure)
+
+
 def main(out, truth, build, *scenes):
     out, truth = Path(out), Path(truth)
     out.mkdir(parents=True, exist_ok=True)
@@ -169,6 +224,7 @@ def main(out, truth, build, *scenes):
         for case in CASES[scene]:
             rows.append(measured(scene, case, out, truth, build))
             print({k: round(v, 4) if isinstance(v, float) else v for k, v in rows[-1].items()}, flush=True)
+        gallery(out, scene, out / f"{scene}.jpg")
     keys = list(dict.fromkeys(key for row in rows for key in row))
     with open(out / "augment.csv", "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, keys)
