@@ -379,3 +379,16 @@ def test_a_grey_photograph_stays_grey(scene, tmp_path):
     assert same.values.shape == (84, 112, 1) and (same.values == photograph(grey)).all()
     reddish = made(grey, LOW, change={"bottom": {"rho_d": [0.9, 0.3, 0.3]}})  # as bright as 0.5, which it was
     assert np.abs(reddish.values - photograph(grey)).max() <= 1
+
+
+def test_a_linear_photograph_is_changed_as_it_is(scene, tmp_path):
+    """An EXR has no steps: what no light reaches stays to the last bit, a lamp twice as bright adds what it adds."""
+    linear = 1.5 * rendered(scene)
+    image.write_exr(tmp_path / "left.exr", linear)
+    found = json.loads(Path(scene["materials"]).read_text()) | {"transfer": {"kind": "linear"}}
+    artefact.write_json(tmp_path / "materials.json", found)
+    files = scene | {"photograph": str(tmp_path / "left.exr"), "materials": str(tmp_path / "materials.json")}
+    stored = image.read_exr(tmp_path / "left.exr")
+    assert (made(files).linear == stored).all()
+    brighter = made(files, lamps={"lamp": [18, 18, 18]})
+    assert np.median(np.abs(brighter.linear - stored - rendered(scene))) < 0.01 and brighter.bits == 8
