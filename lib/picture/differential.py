@@ -24,7 +24,7 @@ from lib.picture.subject import Quality, Subject
 
 NEAR = 1e-5  # local: two places that mirrors show are the same
 SLIGHT = 0.03  # change of light, as a share, below which what lies beside it does not matter
-MUCH = 0.1  # change of all light, as a share, from which on a difference is no less than the light itself
+MUCH = 0.03  # change of all light, as a share, from which on a difference is no less than the light itself
 MORE = 4  # times the rays of other light, for the difference: it is small, and its places are few
 FINE = 0.3  # of the tolerance of other light: that of the difference
 
