@@ -291,6 +291,7 @@ def test_a_painted_picture_hangs_upright(scene, tmp_path):
     assert (seen > 0.3).tolist() == (quarters.reshape(4, 3) > 0).tolist()
 
 
+@pytest.mark.scene
 def test_the_stage_from_outside(scene, tmp_path, run, refuses):
     words = [w for name, path in scene.items() for w in (f"--{name}", path)]
     out = {name: tmp_path / f"x.{end}" for name, end in (("picture", "png"), ("exr", "exr"), ("report", "json"))}
