@@ -168,7 +168,7 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
             'board.colour: "red" is an unknown key; known are corners, square_m',
         ),
         ("lens: OPENCV8", 'lens: "OPENCV8" is not a name of a mrcal lens model, LENSMODEL_...'),
-        ("augment: [{name: teapot}]", 'augment: ["teapot"] is not built yet'),
+        ("augment: [{name: tea pot}]", 'augment[0].name: "tea pot" is not a name of letters, digits, _ and -'),
         (
             "params: {blend: {x: 1}}",
             'params.blend: {"x": 1} belongs to no stage; stages are segment, fit, render, report',
@@ -200,7 +200,7 @@ def test_all_problems_at_once(folder):
     found = problems(
         folder,
         "bogus: 1\nlamps: {lamp: [-1, 1, 1], candle: [1]}\ntransfer: 3\nreference: {wall: [2, 2, 2]}\n"
-        "augment: [{camera: ../door.cameramodel}, {name: a, add: {file: no.obj}}, {name: a}]",
+        "augment: [{camera: ../door.cameramodel}, {name: a, add: {file: no.obj}}, {name: a}]",  # no material
     )
     assert [line.split(":")[0] for line in found] == [
         "bogus",
@@ -210,9 +210,9 @@ def test_all_problems_at_once(folder):
         "reference.wall",
         "augment[0].name",
         "augment[0].camera",
+        "augment[1].add.material",
         "augment[1].add.file",
         "augment[2].name",
-        "augment",
     ]
 
 

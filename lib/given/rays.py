@@ -133,7 +133,11 @@ def sobol(n, at=None) -> np.ndarray:
 
 
 def shifts(elements, n_points, seed) -> np.ndarray:
-    """(elements, 4) uint32: element i takes block i of the sequence, all shifted alike by the seed."""
+    """(elements, 4) uint32: element i takes block i of the sequence, all shifted alike by the seed.
+
+    elements : how many, or the numbers (m,) of their blocks
+    """
     block = 1 << max(0, int(n_points - 1).bit_length())
     scramble = np.random.default_rng(seed).integers(0, 1 << 32, 4, np.uint32)
-    return sobol(elements, np.arange(elements, dtype=np.uint64) * np.uint64(block)) ^ scramble
+    number = np.arange(elements, dtype=np.uint64) if np.ndim(elements) == 0 else np.asarray(elements, np.uint64)
+    return sobol(len(number), number * np.uint64(block)) ^ scramble

@@ -88,7 +88,13 @@ def _direct_light(surface, mesh, middle, lamps, rays, hit, n_rays, seed) -> Dire
 
 def live_sides(surface: Surface) -> np.ndarray:
     """Sides that can receive light: not inside a solid, and seeing something. (S,) int."""
-    candidates = np.flatnonzero(~surface.inside)
+    return sees_something(surface, np.flatnonzero(~surface.inside))
+
+
+def sees_something(surface: Surface, candidates) -> np.ndarray:
+    """Those of some sides (n,) from which something is seen. (S,) int."""
+    if not len(candidates):
+        return np.zeros(0, int)
     tree = Tree(surface, candidates, coarse=float(surface.size.max()) / 4)
     mesh = tree.mesh()
     seen = probe(surface, mesh, n_rays=32)

@@ -141,13 +141,15 @@ def counted(hit, ray_start, first, last, columns) -> FormFactorRows:
     )
 
 
-def rays(surface: Surface, mesh: Mesh, *, n_rays, seed=0, progress=None) -> FormFactorRows:
+def rays(surface: Surface, mesh: Mesh, *, n_rays, seed=0, progress=None, begin=0) -> FormFactorRows:
     """F between all patches from `n_rays` rays per patch (a power of two spreads best).
 
     Error about 0.5 / n_rays^0.75 of a row's irradiance, measured by `make bench`.
-    progress : called with the share done
+    progress : called with the share done;  begin : the rows of the patches from this number on alone
     """
-    return _rows(surface, mesh, *from_patches(surface, mesh, n_rays, seed), progress)
+    ray_start, make = from_patches(surface, mesh, n_rays, seed)
+    later = lambda first, last: make(begin + first, begin + last)
+    return _rows(surface, mesh, ray_start[begin:] - ray_start[begin], later, progress)
 
 
 def from_patches(surface: Surface, mesh: Mesh, n_rays, seed=0):

@@ -69,7 +69,9 @@ def emitters(surface: Surface, lamps, lobes=None) -> list[Emitter]:
     for lamp, name in enumerate(lamps):
         if name not in surface.groups:
             continue
-        facets = np.flatnonzero(surface.group == surface.groups.index(name))
+        facets = np.intersect1d(np.flatnonzero(surface.group == surface.groups.index(name)), surface.facet)
+        if not len(facets):
+            continue  # of an object that is not there
         sets = [[f] for f in facets] if len(facets) <= 8 else [facets]
         for chosen in sets:
             t = np.flatnonzero(np.isin(surface.facet, chosen))
@@ -121,6 +123,7 @@ def direct(
     start=None,
     weight=None,
     shadows=True,
+    numbers=None,
 ) -> np.ndarray:
     """Factor from each point to each lamp, shadows included, (M, n_lamps); with `start` the mean of each set of points.
 
@@ -133,6 +136,7 @@ def direct(
     points : (M, 3) local, on their facets;  normals : (K, 3);  normal_idx : (M,) the normal of each point
     start : (S + 1,) sets of consecutive points -> (S, n_lamps);  weight : (M,) of the points in their set
     shadows : False: as if nothing stood in between (and mirrors showed all of a mirrored lamp)
+    numbers : (M,) of the points, whose shadow rays are then the same whatever points there are beside them
     """
     weight = np.ones(len(points)) if weight is None else np.asarray(weight, float)
     first = np.arange(len(points)) if start is None else np.asarray(start[:-1])
@@ -148,7 +152,7 @@ def direct(
             seen, sent = np.zeros(len(points)), np.zeros(len(points))
             for a in range(0, len(lit), max(1, CHUNK // n_samples)):
                 which = lit[a : a + max(1, CHUNK // n_samples)]
-                shift = shifts(len(which), n_samples, seed + 31 * number)
+                shift = shifts(len(which) if numbers is None else numbers[which], n_samples, seed + 31 * number)
                 r, light = kernels.shadow_rays(points, normal_idx, normals, which, sequence, shift, lamp.arrays)
                 visible = reached(surface, lamp, r)
                 sent[which] = light.reshape(-1, n_samples).sum(axis=1)

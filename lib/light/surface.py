@@ -51,22 +51,24 @@ class Surface:
         return SurfaceArrays(self.facet, self.normal, self.origin, self.axes, self.size, self.inside)
 
 
-def surface(model, lamps=()) -> Surface:
+def surface(model, lamps=(), like=None) -> Surface:
     """Facet frames, solids and ray casters. lamps: names of the groups that emit.
 
+    like : Surface of a model of which this one is a change (lib/given/model/changes.py): local coordinates are the
+        same, and facets that are no longer there keep their frames
     The last few are kept: several steps of a stage ask for the same.
     """
     lamps = tuple(name for name in lamps if name in model.groups)
     for of, names, kept in _kept:
         if of is model and names == lamps:
             return kept
-    made = _surface(model, lamps)
+    made = _surface(model, lamps, like)
     _kept.append((model, lamps, made))
     return made
 
 
-def _surface(model, lamps) -> Surface:
-    local = Local.of(model)
+def _surface(model, lamps, like) -> Surface:
+    local = Local.of(model) if like is None else like.local
     corners = local.points(model.vertices)[model.triangles]
     facet = np.array(model.triangle_facet, np.int32)  # copies: kernels would be compiled again for read-only arrays
     normal = np.array(model.facet_normal, float)
@@ -91,6 +93,9 @@ def _surface(model, lamps) -> Surface:
     order = np.argsort(facet, kind="stable").astype(np.int64)
     start = np.searchsorted(facet[order], np.arange(len(normal) + 1)).astype(np.int64)
     origin, axes, size = kernels.frames(corners, order, start, normal)
+    if like is not None:
+        gone = np.setdiff1d(np.flatnonzero(like.group >= 0), facet)
+        origin[gone], axes[gone], size[gone] = like.origin[gone], like.axes[gone], like.size[gone]
     return Surface(
         local,
         corners,

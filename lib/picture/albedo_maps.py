@@ -238,6 +238,28 @@ def mean(texture: AlbedoMap):
     return np.einsum("ij,ijc->c", w, texture.albedo.astype(float)) / w.sum()
 
 
+def painted(surface: Surface, f, picture) -> AlbedoMap:
+    """A picture (H, W, C) of reflectances in [0, 1] that fills the facet's bounding rectangle.
+
+    It is seen from the facet's front, its top towards +z, or towards +y where the facet is level.
+    """
+    n, frame = surface.normal[f], surface.axes[f]
+    up = np.array([0.0, 0.0, 1.0]) if abs(n[2]) < 0.99 else np.array([0.0, 1.0, 0.0])
+    # the sides of the rectangle that run most to the right and up
+    along = frame @ np.column_stack([np.cross(up, n), up])
+    turned = abs(along[0, 0]) < abs(along[1, 0])
+    across, upward = (1, 0) if turned else (0, 1)
+    values = np.asarray(picture, np.float32)[::-1]  # rows go upwards
+    values = values[:, ::-1] if along[across, 0] < 0 else values
+    values = values[::-1] if along[upward, 1] < 0 else values
+    albedo = np.ascontiguousarray(values if turned else np.swapaxes(values, 0, 1))
+    one = np.ones(albedo.shape[:2], np.float32)
+    flat = np.einsum("tcj,aj->tca", surface.corners[surface.facet == f] - surface.origin[f], frame)
+    inside = kernels.inside_share(flat / np.maximum(surface.size[f], 1e-300), *one.shape)
+    constant = albedo.astype(float).mean(axis=(0, 1))
+    return AlbedoMap(f, albedo, one, 0 * one, inside, constant, _rectangle(surface, f), 0)
+
+
 # ---- texture-<facet>.exr and what lies beside it ----
 
 

@@ -42,6 +42,12 @@ def read(path, groups, lamps, channels, n_facets):
     BadInput: what cannot be rendered, one line for each value.
     """
     found = materials_file.read(path)
+    look, warnings = of(found, path, groups, lamps, channels, n_facets)
+    return look, found, warnings
+
+
+def of(found, path, groups, lamps, channels, n_facets):
+    """(Appearance, warnings) of what `path` held."""
     problems = [f"{path}: {problem}" for problem in _problems(found, groups, lamps)]
     if problems:
         raise BadInput(*problems)
@@ -66,7 +72,7 @@ def read(path, groups, lamps, channels, n_facets):
         if lamp.rho_d is not None:  # a lamp that is a reference too reflects that much
             rho[groups.index(name)] = lamp.rho_d[:channels]
     finish, rho_s = _finish(specular, channels)
-    return Appearance(rho, E, finish, rho_s, _maps(path, found, n_facets, channels)), found, warnings
+    return Appearance(rho, E, finish, rho_s, _maps(path, found, n_facets, channels)), warnings
 
 
 def _problems(found, groups, lamps):

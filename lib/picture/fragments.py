@@ -58,10 +58,11 @@ def fragments(surface: Surface, camera, coverage) -> Fragments:
     return Fragments(pixel, start, facet, side, np.asarray(coverage["count"], float) / 64, p, owner, at, number > 0)
 
 
-def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays_each=2):
+def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays_each=2, steady=False):
     """Factor of each fragment to each lamp (S, L), by shadow rays from each sub-pixel.
 
     A shadow in the corner beside a thin board is darker in the pixel where it lies than anywhere else.
+    steady : the same rays in a pixel whatever other pixels are mixed
     """
     factor = np.zeros((len(fragments.facet), n_lamps))
     normals = surfaces.side_normals(surface)
@@ -69,7 +70,8 @@ def fragment_direct(surface: Surface, lamps, n_lamps, fragments: Fragments, rays
     which = np.flatnonzero(fragments.owner >= 0)
     which = which[np.lexsort((which * 37 % 64, fragments.owner[which]))]
     rank = np.arange(len(which)) - np.searchsorted(fragments.owner[which], fragments.owner[which])
-    sequence, shift = sobol(64 * rays_each), shifts(len(fragments.facet), 64 * rays_each, 77)
+    blocks = np.repeat(fragments.pixel, np.diff(fragments.start)) if steady else len(fragments.facet)
+    sequence, shift = sobol(64 * rays_each), shifts(blocks, 64 * rays_each, 77)
     rank = np.repeat(rank * rays_each, rays_each) + np.tile(np.arange(rays_each), len(which))
     which = np.repeat(which, rays_each)
     places = SubPixels(fragments.owner, fragments.at, fragments.side)

@@ -66,12 +66,13 @@ def lighting(
     *,
     transport: Transport | None = None,
     n_texels=texels.TEXELS,
+    step=None,
     timing=None,
 ) -> Lighting:
     """The balance of the patches, and the light map that rays see.
 
     transport : the ways of light past mirrors and glossy surfaces; traced here if there are such and it is not given
-    n_texels : about so many in the light map
+    n_texels : about so many in the light map;  step : see texels.light_map
     timing : context manager by label
     """
     timing = timing or (lambda label: contextlib.nullcontext())
@@ -107,9 +108,8 @@ def lighting(
         rho_facet = appearance.rho[surface.group]
         exposed = factors.rows.exposed
         glow = outside.Glow.of(factors, appearance.E)
-        shown = texels.light_map(
-            surface, factors.mesh, every, E, indirect, exposed, rho_facet, glow=glow, texels=n_texels, ways=ways
-        )
+        how = {"glow": glow, "texels": n_texels, "ways": ways, "step": step}
+        shown = texels.light_map(surface, factors.mesh, every, E, indirect, exposed, rho_facet, **how)
     return Lighting(surface, appearance, numbers, factors.lobe_of_lamps, light, every, E, shown, ways)
 
 

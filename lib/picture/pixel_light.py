@@ -22,12 +22,13 @@ from lib.picture.pixels import Pixels, facet_triangles, viewer
 MANY = 16  # triangles of a lamp above which its light is interpolated between pixels
 
 
-def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, many=64) -> tuple:
+def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, many=64, steady=False) -> tuple:
     """Factor of each pixel to each lamp with soft shadows, (M, L), and how many pixels lay in a penumbra.
 
     The exact factor of the lamp's polygon at the pixel's centre times its visible share, from shadow rays that begin
     all over the pixel: a shadow narrower than a pixel darkens it in proportion.
     few : shadow rays per pixel and emitter everywhere;  many : where the pixels of a 5 x 5 neighbourhood disagree
+    steady : the same rays at a pixel whichever of the others lie in shadow
     """
     factor = np.zeros((len(pixels), n_lamps))
     normals = surfaces.side_normals(surface)
@@ -41,11 +42,11 @@ def direct(surface: Surface, lamps, n_lamps, pixels: Pixels, camera, *, few=4, m
             continue
         lit = np.flatnonzero(whole > 0)
         visible = np.zeros(len(pixels))
-        visible[lit] = _visible(surface, lamp, scene, lit, few, number)
+        visible[lit] = _visible(surface, lamp, scene, lit, few, number, steady)
         penumbra = np.flatnonzero(kernels.disagree(visible, whole > 0, arrays))
         uncertain += len(penumbra)
         if len(penumbra):
-            visible[penumbra] = _visible(surface, lamp, scene, penumbra, many, number + 500)
+            visible[penumbra] = _visible(surface, lamp, scene, penumbra, many, number + 500, steady)
             visible[penumbra] = kernels.smoothed(visible, penumbra, arrays, 0.7 / many**0.75)
         factor[:, lamp.lamp] += whole * visible
     return factor, uncertain
@@ -69,7 +70,7 @@ def _whole(surface, lamp, pixels, normals):
     return interpolated(blocks, pixels)[:, 0]
 
 
-def _visible(surface, lamp, scene, which, n, seed):
+def _visible(surface, lamp, scene, which, n, seed, steady):
     """Share of the lamp's light that reaches each pixel of `which`, from n shadow rays.
 
     scene : PixelArrays, Viewer, Triangles, SurfaceArrays
@@ -79,7 +80,7 @@ def _visible(surface, lamp, scene, which, n, seed):
     step = max(1, CHUNK // n)
     for a in range(0, len(which), step):
         some = which[a : a + step]
-        shift = shifts(len(some), n, seed)
+        shift = shifts(some if steady else len(some), n, seed)
         rays, weight = kernels.shadow_rays(some, sequence, shift, *scene, lamp.arrays)
         share[a : a + step] = kernels.visible_share(weight, ~lamps_.reached(surface, lamp, rays))
     return share

@@ -16,16 +16,17 @@ from lib.picture.ray_light_kernels import Places, RayEnds
 NEAR = 3.0  # texels: what a gathering ray meets within so many is lit by itself
 
 
-def gathered_light(surface, shown, lamps, E, p, first, last, side, n_rays, seed):
+def gathered_light(surface, shown, lamps, E, p, first, last, side, n_rays, seed, numbers=None):
     """What n_rays rays from each of K places meet.
 
     p : (M, 3) local;  first, last : (K,) the points p[first:last] of each place;  side : (K,)
     lamps, E : Emitters and their emittances (L, C)
+    numbers : (K,) of the places, whose rays are then the same whatever places there are beside them
     Returns the mean radiosity (K, C), half the difference of the rays' two halves (K, C), and the harmonic mean
     distance (K,).
     """
     m, C = len(first), shown.value.shape[1]
-    sequence, shift = sobol(n_rays), shifts(m, n_rays, seed)
+    sequence, shift = sobol(n_rays), shifts(m if numbers is None else numbers, n_rays, seed)
     total, half, distance = np.zeros((m, C)), np.zeros((m, C)), np.zeros(m)
     step = max(1, CHUNK // n_rays)
     places, arrays = Places(first, last, p, side), surface.arrays

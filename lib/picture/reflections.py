@@ -14,13 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lib.light import lamps, specular
+from lib.light import specular
 from lib.light.chains import GLOSSY, MIRROR, Finish
 from lib.light.form_factors import CHUNK
 from lib.light.mirror_view import MirrorView, through_mirrors
-from lib.light.surface import backproject, side_normals
-from lib.picture import indirect, light_map, pixel_light, ray_light
+from lib.light.surface import backproject
+from lib.picture import indirect, pixel_light, ray_light
 from lib.picture import reflections_kernels as kernels
+from lib.picture.curved import outside, shade
 from lib.picture.leaves import interpolated
 from lib.picture.lighting import Lighting
 from lib.picture.pixels import pixels
@@ -58,19 +59,23 @@ class GlossyPlaces(NamedTuple):
     chain: np.ndarray
 
 
-def picture(subject: Subject, lit: Lighting, quality: Quality) -> Reflections:
-    """What mirrors and glossy surfaces add to the pixels that show them at once."""
+def picture(subject: Subject, lit: Lighting, quality: Quality, light=None) -> Reflections:
+    """What mirrors and glossy surfaces add to the pixels that show them at once.
+
+    light : Pixels of the virtual picture -> their irradiance (M, C) by lamps, and by other surfaces; by default found
+        here
+    """
     H, W = subject.facet.shape
     C = subject.channels
     kind = _kind(subject, subject.facet).reshape(-1)
     out = Reflections(
         np.zeros((H, W, C)), np.full((H, W), -1, np.int32), np.zeros((H, W), np.int32), np.zeros((H, W, C))
     )
-    mirror, glossy = np.flatnonzero(kind == MIRROR), np.flatnonzero(kind == GLOSSY)
+    mirror, glossy = mirrors(subject), np.flatnonzero(kind == GLOSSY)
     places = []
     if len(mirror):
-        view = _mirror_view(subject, lit, mirror)
-        _light_virtual_picture(subject, lit, quality, out, mirror, view)
+        view = mirror_view(subject, lit, mirror)
+        _light_virtual_picture(subject, lit, quality, out, mirror, view, light)
         at = np.flatnonzero((view.facet >= 0) & (_kind(subject, view.facet) == GLOSSY))
         places.append(GlossyPlaces(mirror[at], view.p[at], view.facet[at], view.direction[at], view.chain[at]))
         out.facts["mirror_pixels"] = len(mirror)
@@ -84,8 +89,15 @@ def picture(subject: Subject, lit: Lighting, quality: Quality) -> Reflections:
         out.linear.reshape(H * W, C)[at.pixel] += light
         out.facts["glossy_pixels"] = out.facts.get("glossy_pixels", 0) + len(at.pixel)
     if len(mirror):
-        _smooth_edges(subject, lit, out, mirror)
+        _smooth_edges(subject, lit, out, mirror, quality.steady)
     return out
+
+
+def mirrors(subject: Subject):
+    """(n,) flat pixels that show a mirror at once."""
+    if subject.appearance.finish is None:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(_kind(subject, subject.facet).reshape(-1) == MIRROR)
 
 
 def _kind(subject, facet):
@@ -103,7 +115,7 @@ def _rays(subject, x, y):
     return np.hstack([np.broadcast_to(local.points(camera.centre), v.shape), v]).astype(np.float32)
 
 
-def _mirror_view(subject, lit, mirror) -> MirrorView:
+def mirror_view(subject: Subject, lit: Lighting, mirror) -> MirrorView:
     """What the pixels `mirror` show in the end: as the fit has found it, or traced now."""
     if subject.traced is not None and np.array_equal(subject.traced.pixel, mirror):
         return subject.traced.view
@@ -112,13 +124,17 @@ def _mirror_view(subject, lit, mirror) -> MirrorView:
     return through_mirrors(subject.surface, subject.appearance.finish, lit.ways.chains, rays)
 
 
-def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view: MirrorView):
-    """Light what mirrors show as the real picture is lit: into out.linear, facet, chain and indirect."""
+def virtual_pixels(subject: Subject, mirror, view: MirrorView, which=None):
+    """The Pixels of the virtual picture. which : (n,) bool, those of `mirror` that are wanted"""
     H, W = subject.facet.shape
-    p, side = np.zeros((H * W, 3)), np.zeros(H * W, np.int32)
+    p, side, facet = np.zeros((H * W, 3)), np.zeros(H * W, np.int32), np.full(H * W, -1, np.int32)
     p[mirror], side[mirror] = view.p, view.side
-    out.facet.reshape(-1)[mirror], out.chain.reshape(-1)[mirror] = view.facet, view.chain
-    virtual = pixels(subject.surface, None, out.facet, (p.reshape(H, W, 3), side.reshape(H, W)))
+    facet[mirror] = view.facet if which is None else np.where(which, view.facet, -1)
+    return pixels(subject.surface, None, facet.reshape(H, W), (p.reshape(H, W, 3), side.reshape(H, W)))
+
+
+def _light(subject, lit, quality, virtual):
+    """Irradiance (M, C) of the virtual picture's pixels, by lamps and by other surfaces."""
     factor, _ = pixel_light.direct(subject.surface, lit.lamps, len(lit.E), virtual, None, many=quality.shadow_rays)
     by_lamps = factor @ lit.E
     leaves = indirect.gather(
@@ -132,7 +148,15 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
         contact=quality.contact,
         tolerance=quality.tolerance,
     )
-    between = interpolated(leaves, virtual)
+    return by_lamps, interpolated(leaves, virtual)
+
+
+def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view: MirrorView, light):
+    """Light what mirrors show as the real picture is lit: into out.linear, facet, chain and indirect."""
+    H, W = subject.facet.shape
+    out.facet.reshape(-1)[mirror], out.chain.reshape(-1)[mirror] = view.facet, view.chain
+    virtual = virtual_pixels(subject, mirror, view)
+    by_lamps, between = _light(subject, lit, quality, virtual) if light is None else light(virtual)
     along = np.zeros((H * W, 3))
     along[mirror] = view.direction
     along = along[virtual.y * W + virtual.x]
@@ -140,17 +164,19 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
     power = lit.ways.chains.power(lit.ways.rho_s)
     out.linear[virtual.y, virtual.x] = B * power[out.chain[virtual.y, virtual.x]]
     out.indirect[virtual.y, virtual.x] = between
-    gone, light = _outside(lit, view)
-    out.linear.reshape(H * W, -1)[mirror[gone]] = light
+    gone, beyond = outside(lit, view)
+    out.linear.reshape(H * W, -1)[mirror[gone]] = beyond
+    _with_curved(subject, lit, out, mirror, view)
 
 
-def _outside(lit, view: MirrorView):
-    """Rays that leave the model after a mirror (n,), and what they show, (n, C)."""
-    if lit.shown.glow is None:
-        return np.zeros(0, np.int64), np.zeros((0, lit.appearance.channels))
-    gone = np.flatnonzero((view.facet < 0) & (view.chain > 0))
-    light = lit.shown.glow.light(np.hstack([view.p, view.direction])[gone])
-    return gone, light * lit.ways.chains.power(lit.ways.rho_s)[view.chain[gone]]
+def _with_curved(subject, lit, out: Reflections, mirror, view: MirrorView):
+    """Smooth surfaces and curved mirrors that mirrors show, into out.linear."""
+    if subject.curved is None:
+        return
+    at = np.flatnonzero(subject.curved.has(view.facet))
+    light = subject.curved.light(subject, lit, view.facet[at], view.p[at], view.direction[at])
+    C = light.shape[1]
+    out.linear.reshape(-1, C)[mirror[at]] = light * lit.ways.chains.power(lit.ways.rho_s)[view.chain[at]]
 
 
 def lobes(lit: Lighting, p, facet, direction, chain, n_rays, *, seed=19):
@@ -183,7 +209,7 @@ def _label(facet, chain):
     return facet.astype(np.int64) + chain.astype(np.int64) * (1 << 32)
 
 
-def _smooth_edges(subject, lit, out: Reflections, mirror):
+def _smooth_edges(subject, lit, out: Reflections, mirror, steady):
     """Render anew, in place, the mirror's pixels beside an edge of the virtual picture, from SUB x SUB places each.
 
     Such pixels are mixed, or a shadow in the corner there falls on a part of them.
@@ -206,33 +232,26 @@ def _smooth_edges(subject, lit, out: Reflections, mirror):
     dy, dx = (d.ravel() for d in np.meshgrid(offset, offset, indexing="ij"))
     rays = _rays(subject, (x[:, None] + dx).ravel(), (y[:, None] + dy).ravel())
     view = through_mirrors(subject.surface, subject.appearance.finish, lit.ways.chains, rays)
-    B = _shade(subject, lit, out, view, np.repeat(y, SUB * SUB), np.repeat(x, SUB * SUB))
+    number = (np.repeat((y * W + x) * SUB * SUB, SUB * SUB) + np.tile(np.arange(SUB * SUB), len(y))) if steady else None
+    B = _shade(subject, lit, out, view, np.repeat(y, SUB * SUB), np.repeat(x, SUB * SUB), number)
     out.linear[y, x] = B.reshape(len(y), SUB * SUB, -1).mean(axis=1)
     out.facts["mixed_pixels"] = len(y)
 
 
-def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
-    """(n, C) what rays through mirrors show.
+def _beside(out: Reflections, view: MirrorView, y, x):
+    """For `curved.shade`: light of the pixels about (y, x) that show the same."""
 
-    Lamps by few shadow rays each; other light from the pixels about (y, x) that show the same, and from the light map
-    where there are none.
-    """
-    surface = subject.surface
-    power = lit.ways.chains.power(lit.ways.rho_s)
-    there = np.flatnonzero(view.facet >= 0)
-    B = np.zeros((len(view.facet), subject.channels))
-    p, side = view.p[there], view.side[there].astype(np.int32)
-    normals = side_normals(surface)
-    by_lamps = lamps.direct(surface, lit.lamps, p, normals, side, len(lit.E), n_samples=4) @ lit.E
-    near, found = kernels.beside(out.indirect, out.label, _label(view.facet, view.chain)[there], y[there], x[there])
-    lost = np.flatnonzero(~found)
-    near[lost] = light_map.looked_up(lit.shown.between, lit.shown, surface, p[lost], side[lost])
-    B[there] = (
-        lit.radiosities(by_lamps + near, view.facet[there], side, p, view.direction[there]) * power[view.chain[there]]
-    )
-    gone, light = _outside(lit, view)
-    B[gone] = light
-    glossy = there[_kind(subject, view.facet[there]) == GLOSSY]
+    def near(there):
+        label = _label(view.facet, view.chain)[there]
+        return kernels.beside(out.indirect, out.label, label, y[there], x[there])
+
+    return near
+
+
+def _shade(subject, lit, out: Reflections, view: MirrorView, y, x, numbers):
+    """(n, C) what rays through mirrors show, whose indirect light is known beside (y, x). numbers : of `shade`"""
+    B = shade(subject, lit, view, _beside(out, view, y, x), numbers=numbers)
+    glossy = np.flatnonzero((view.facet >= 0) & (_kind(subject, view.facet) == GLOSSY))
     if len(glossy):
         B[glossy] += lobes(
             lit, view.p[glossy], view.facet[glossy], view.direction[glossy], view.chain[glossy], EDGE_LOBE_RAYS
@@ -240,7 +259,7 @@ def _shade(subject, lit, out: Reflections, view: MirrorView, y, x):
     return B
 
 
-def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections):
+def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections, *, steady=False):
     """(S, C): what specular surfaces add to the fragments of the mixed pixels of the real picture.
 
     Of mirrors it is the mean of the rays through each fragment's sub-pixels, of glossy surfaces the lobe at the
@@ -254,7 +273,7 @@ def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections)
         owner, pixel, k = pieces.owner[sub], pieces.pixel[sub // 64], sub % 64
         rays = _rays(subject, pixel % W + (k % 8 + 0.5) / 8 - 0.5, pixel // W + (k // 8 + 0.5) / 8 - 0.5)
         view = through_mirrors(subject.surface, subject.appearance.finish, lit.ways.chains, rays)
-        B = _shade(subject, lit, mirrored, view, pixel // W, pixel % W)
+        B = _shade(subject, lit, mirrored, view, pixel // W, pixel % W, 64 * pixel + k if steady else None)
         n = np.maximum(np.bincount(owner, minlength=len(total)), 1)
         for c in range(subject.channels):
             total[:, c] += np.bincount(owner, B[:, c], len(total)) / n

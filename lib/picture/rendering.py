@@ -10,7 +10,7 @@ are the mean of their fragments by area (the A-buffer). Colours are channels C (
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,11 +24,11 @@ from lib.light.chains import GLOSSY, MIRROR, Finish
 from lib.light.factors_file import FormFactors
 from lib.light.small_room import small_room
 from lib.light.surface import side_normals
-from lib.picture import fragments, indirect, light_map, pixel_light, reflections
+from lib.picture import curved, fragments, indirect, light_map, pixel_light, reflections
 from lib.picture.appearance import Appearance
 from lib.picture.fragments import Fragments
 from lib.picture.leaves import interpolated
-from lib.picture.lighting import lighting
+from lib.picture.lighting import Lighting, lighting
 from lib.picture.pixels import Pixels, pixels
 from lib.picture.subject import STANDARD, Quality, Subject
 
@@ -50,15 +50,21 @@ def render(subject: Subject, quality: Quality = STANDARD, *, timing=None, trace=
     timing : context manager by label;  trace : called with the state of each refinement
     """
     timing = timing or (lambda label: contextlib.nullcontext())
-    surface, camera = subject.surface, subject.view.camera
     lit = lighting(
-        surface,
+        subject.surface,
         subject.factors,
         subject.appearance,
         transport=subject.traced and subject.traced.transport,
         n_texels=quality.n_texels,
+        step=quality.step,
         timing=timing,
     )
+    return of_lit(subject, lit, quality, timing=timing, trace=trace)
+
+
+def of_lit(subject: Subject, lit: Lighting, quality: Quality, *, timing, trace=None) -> Picture:
+    """The same where the light is known already: it does not depend on the camera."""
+    surface, camera = subject.surface, subject.view.camera
     with timing("direct"):
         seen = pixels(surface, camera, subject.facet)
         factor, penumbra = pixel_light.direct(surface, lit.lamps, len(lit.E), seen, camera, many=quality.shadow_rays)
@@ -77,22 +83,38 @@ def render(subject: Subject, quality: Quality = STANDARD, *, timing=None, trace=
             trace=trace,
         )
         between = interpolated(leaves, seen)
+    picture = finished(subject, lit, quality, seen, by_lamps, between, timing=timing)
+    return replace(picture, facts=_facts(lit, penumbra, leaves) | picture.facts)
+
+
+def finished(
+    subject: Subject, lit: Lighting, quality: Quality, seen: Pixels, by_lamps, between, *, timing, virtual=None
+) -> Picture:
+    """The picture where the pixels of one facet are lit: what they reflect, what mirrors add, and mixed pixels.
+
+    by_lamps, between : (M, C) irradiance of `seen`, by lamps and by other surfaces
+    virtual : the same of what mirrors show, see reflections.picture
+    """
+    surface, camera = subject.surface, subject.view.camera
     eye = surface.local.points(camera.centre)
     B = lit.radiosities(by_lamps + between, seen.facet, seen.side, seen.p, seen.p - eye)
     mirrored = None
     if subject.appearance.finish is not None:
         with timing("reflections"):
-            mirrored = reflections.picture(subject, lit, quality)
+            mirrored = reflections.picture(subject, lit, quality, virtual)
             B += mirrored.linear[seen.y, seen.x]
+    if subject.curved is not None:
+        with timing("curved"):
+            B = curved.of_pixels(subject, lit, seen, B)
     with timing("antialias"):
         pieces = fragments.fragments(surface, camera, subject.coverage)
-        B_there = _of_fragments(subject, lit, seen, by_lamps, between, pieces)
+        B_there = _of_fragments(subject, lit, seen, by_lamps, between, pieces, quality.steady)
         if mirrored is not None:
-            B_there += reflections.of_fragments(subject, lit, pieces, mirrored)
+            B_there += reflections.of_fragments(subject, lit, pieces, mirrored, steady=quality.steady)
+        if subject.curved is not None:
+            B_there = curved.of_fragments(subject, lit, pieces, B_there)
         linear = compose(subject.facet.shape, seen, B, pieces, B_there)
-    facts = _facts(lit, penumbra, leaves)
-    if mirrored is not None:
-        facts["reflections"] = mirrored.facts
+    facts = {} if mirrored is None else {"reflections": mirrored.facts}
     return Picture(linear, lit.light, seen, pieces, facts)
 
 
@@ -110,12 +132,12 @@ def _facts(lit, penumbra, leaves):
     }
 
 
-def _of_fragments(subject, lit, seen, by_lamps, between, pieces):
+def _of_fragments(subject, lit, seen, by_lamps, between, pieces, steady):
     """(S, C) radiosity of the fragments of mixed pixels: lamps exactly, other light from pure pixels beside them."""
     size = (*subject.facet.shape, subject.channels)
     direct_picture, indirect_picture = np.zeros(size), np.zeros(size)
     direct_picture[seen.y, seen.x], indirect_picture[seen.y, seen.x] = by_lamps, between
-    direct = fragments.fragment_direct(subject.surface, lit.lamps, len(lit.E), pieces) @ lit.E
+    direct = fragments.fragment_direct(subject.surface, lit.lamps, len(lit.E), pieces, steady=steady) @ lit.E
     unseen = np.flatnonzero(~pieces.seen)
     direct[unseen] = fragments.beside(direct_picture, subject.facet, pieces)[0][unseen]
     others, found = fragments.beside(indirect_picture, subject.facet, pieces)

@@ -19,6 +19,7 @@ from lib.light.specular_file import Traced
 from lib.light.surface import Surface
 from lib.picture import appearance, display
 from lib.picture.appearance import Appearance
+from lib.picture.curved import Curved
 from lib.picture.texels import TEXELS
 
 
@@ -29,6 +30,7 @@ class Subject:
     transfer : how the finished picture is displayed;  coverage : the A-buffer, see lib/buffers/coverage.py
     traced : light past mirrors and glossy surfaces, where `fit` has traced it
     falloff : (H, W, 1) of the lens, or None
+    curved : smooth surfaces and mirrors of many facets, None where there are none
     """
 
     view: View
@@ -40,6 +42,7 @@ class Subject:
     traced: Traced | None = None
     warnings: list = field(default_factory=list)
     falloff: np.ndarray | None = None
+    curved: Curved | None = None
 
     @property
     def channels(self):
@@ -148,7 +151,8 @@ def falloff(found, view):
 class Quality:
     """n_rays : gathering rays at each place;  shadow_rays : per pixel and lamp in a penumbra
     contact, tolerance : see indirect.gather;  lobe_rays : per pixel of a glossy surface
-    n_texels : about so many in the light map
+    n_texels : about so many in the light map;  step : local, their width instead, see texels.light_map
+    steady : the same rays at a pixel whatever else is in the picture
     """
 
     n_rays: int = 256
@@ -157,6 +161,8 @@ class Quality:
     tolerance: float = 0.01
     lobe_rays: int = 64
     n_texels: int = TEXELS
+    step: float | None = None
+    steady: bool = False
 
 
 STANDARD = Quality()

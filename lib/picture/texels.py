@@ -37,15 +37,17 @@ def light_map(
     samples=32,
     n_rays=64,
     ways=None,
+    step=None,
 ) -> LightMap:
     """Reflected radiosity of every side that has patches, direct light from the lamps and not from the patches.
 
     lamps : from lamps.emitters;  E : (L, C);  indirect : (N, C) what others send to the patches
     exposed : (N,) share of each patch outside solids;  rho_facet : (F, C)
     glow : outside.Glow, None: it is black around the model
-    texels : about so many;  samples : shadow rays of each to each lamp;  n_rays : gathering rays of each, or 0
+    texels : about so many;  step : local, their width instead, and then the same rays at a texel whatever others see
+    samples : shadow rays of each to each lamp;  n_rays : gathering rays of each, or 0
     """
-    grid = _grids(surface, np.unique(mesh.side), texels)
+    grid = _grids(surface, _in_order(mesh.side), texels, step)
     normals = surfaces.side_normals(surface)
     f, rho = grid.side // 2, rho_facet.astype(np.float32)
     good = within(grid.p, f, facet_triangles(surface), normals[2 * f])
@@ -53,7 +55,8 @@ def light_map(
     at = np.flatnonzero(good)
     # texels outside the facet or inside a solid take another's value
     fill = kernels.nearest(good, grid.start[grid.sides], grid.count)
-    irradiance, whole = _by_lamps(surface, lamps, E, grid, at, normals, samples)
+    numbers = None if step is None else at
+    irradiance, whole = _by_lamps(surface, lamps, E, grid, at, normals, samples, numbers)
     between = np.maximum(_by_patches(surface, mesh, indirect, exposed, grid, at), 0)
     irradiance, whole = irradiance[fill], whole[fill]
     first = irradiance * rho[f]
@@ -65,11 +68,16 @@ def light_map(
     if n_rays:
         # once more by rays: the light that the patches pass on is then as sharp as the texels, not as the patches
         ones = np.arange(len(at))
-        between[at] = gathered_light(surface, shown, lamps, E, grid.p[at], ones, ones + 1, grid.side[at], n_rays, 650)[
-            0
-        ]
+        places = grid.p[at], ones, ones + 1, grid.side[at]
+        between[at] = gathered_light(surface, shown, lamps, E, *places, n_rays, 650, numbers)[0]
     between = between[fill]
     return replace(shown, value=first + between * rho[f], irradiance=irradiance + between, between=between)
+
+
+def _in_order(side):
+    """The sides of patches as they come: those that a change has added stand behind the others."""
+    sides, first = np.unique(side, return_index=True)
+    return sides[np.argsort(first)]
 
 
 class _Grids(NamedTuple):
@@ -85,9 +93,9 @@ class _Grids(NamedTuple):
     step: float  # local, about the width of a texel
 
 
-def _grids(surface, sides, texels) -> _Grids:
+def _grids(surface, sides, texels, step) -> _Grids:
     size = surface.size[sides // 2]
-    step = np.sqrt(max(size.prod(axis=1).sum(), 1e-300) / texels)
+    step = step or np.sqrt(max(size.prod(axis=1).sum(), 1e-300) / texels)
     # At least 3 texels, so that a half-buried rim keeps one outside.
     count = np.clip(np.ceil(size / step), 3, 4096).astype(np.int64)
     n = count.prod(axis=1)
@@ -104,7 +112,7 @@ def _grids(surface, sides, texels) -> _Grids:
     return _Grids(sides, count, start, shape, side, index, p, step)
 
 
-def _by_lamps(surface, lamps, E, grid: _Grids, at, normals, samples):
+def _by_lamps(surface, lamps, E, grid: _Grids, at, normals, samples, numbers):
     """Irradiance (K, C) by the lamps, and the factor to each emitter if nothing stood in between (K, emitters).
 
     at : the texels that count;  both float32
@@ -116,7 +124,8 @@ def _by_lamps(surface, lamps, E, grid: _Grids, at, normals, samples):
         one = [replace(lamp, lamp=0)]
         whole[at, k] = lamps_.direct(surface, one, p, normals, side, 1, n_samples=1, shadows=False)[:, 0]
         if surface.n_occluders or lamp.mirrors:
-            seen = lamps_.direct(surface, one, p, normals, side, 1, n_samples=samples, seed=71 + k)
+            seed = {"n_samples": samples, "seed": 71 + k, "numbers": numbers}
+            seen = lamps_.direct(surface, one, p, normals, side, 1, **seed)
         else:
             seen = whole[at, k : k + 1]
         irradiance[at] += seen * E[lamp.lamp]

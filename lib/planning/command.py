@@ -27,7 +27,7 @@ def command(plan, stage, python) -> Command:
             argv += [option_of(option), *words]
         inputs += files
     for option, key in stage.facts.items():
-        fact = plan.scene.fact(key)
+        fact = plan.scene.entry(stage.entry) if key == "entry" else plan.scene.fact(key)
         if fact is not None:
             argv += [option_of(option), fact if key == "scene" else artefact.dumps_json(fact)]
     refines = {option: plan.build / file for option, file in stage.refines.items()} if plan.is_draft else {}
@@ -35,7 +35,9 @@ def command(plan, stage, python) -> Command:
     for option, path in written.items():
         argv += [option_of(option), str(path)]
     argv += ["--report", str(plan.folder(stage) / stage.report)]
-    for name, value in {**stage.params, **plan.scene.params.get(stage.name, {})}.items():
+    argv += [word for folder in stage.beside if stage.entry for word in ("--frames", str(plan.folder(stage) / folder))]
+    inputs += plan.scene.entry_files(stage.entry) if stage.entry else []
+    for name, value in {**stage.params, **plan.scene.params.get(stage.kind, {})}.items():
         if value is not None:
             argv += [option_of(name), value if isinstance(value, str) else artefact.dumps_json(value)]
     return Command(argv, list(dict.fromkeys(inputs)))

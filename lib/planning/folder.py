@@ -1,6 +1,7 @@
 """What the scene's folder holds, checked before any stage runs."""
 
 from lib.core.stage import BadInput
+from lib.planning import augment
 from lib.planning.files import (
     MODEL,
     OBJECTS,
@@ -65,6 +66,8 @@ def inspect(scene, files) -> list[str]:
     if MODEL in found:
         problems += _unknown_groups(scene, found[MODEL].groups)
         problems += _object_names(scene, found[MODEL].objects)
+    if scene.augment:
+        problems += augment.inspect(scene, found.get(MODEL))
     if OBJECTS in files:
         for path in object_files(scene.given(OBJECTS)):
             try:

@@ -65,6 +65,10 @@ def inspect(plan) -> dict[Path, str]:
         paths += object_files(plan.scene.given(OBJECTS))
     if plan.scene.movable:
         names["movable"] = sorted(plan.scene.movable)
+    entries = [plan.stages[name].entry for name in plan.planned if plan.stages[name].entry]
+    if entries:
+        names["augment"] = plan.scene.augment
+        paths += [path for entry in entries for path in plan.scene.entry_files(entry)]
     content = "\n".join([artefact.dumps_json(names), *map(_stamp, paths)]) + "\n"
     checked = plan.build / "commands" / "checked"
     if not _holds(checked, content) and (problems := folder.inspect(plan.scene, files)):

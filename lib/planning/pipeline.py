@@ -24,11 +24,11 @@ FACTS = (
     "movable",
     "unit",
     "up",
-    "augment",
+    "entry",
     "scene",
 )
 FILES = ("reads", "may_read", "writes", "may_write")
-ENTRY = ("script", "asked_by", *FILES, "beside", "refines", "facts", "params", "sweep", "needs")
+ENTRY = ("script", "asked_by", "each", *FILES, "beside", "refines", "facts", "params", "sweep", "needs")
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Stage:
 
     name: str
     script: str  # as the command line names it
-    asked_by: list = field(
-        default_factory=list
-    )  # only scenes that have one of these keys, files or folders know the stage
+    asked_by: list = field(default_factory=list)  # only scenes that have such a key, file or folder know the stage
+    each: str = ""  # key of scene.yaml, a list of named entries: a stage of its own for each of them
+    entry: str = ""  # the name of its entry
     reads: dict = field(default_factory=dict)  # option -> file
     may_read: dict = field(default_factory=dict)
     writes: dict = field(default_factory=dict)
@@ -50,6 +50,35 @@ class Stage:
     params: dict = field(default_factory=dict)  # name -> default
     sweep: dict = field(default_factory=dict)
     needs: dict = field(default_factory=dict)  # what of the system -> the given file that calls for it; None: always
+
+    @property
+    def kind(self) -> str:
+        """The stage's name in pipeline.yaml."""
+        return self.name.removesuffix(f".{self.entry}") if self.entry else self.name
+
+    def of_entries(self, scene) -> list["Stage"]:
+        """This stage, or one for each entry of its list in scene.yaml, `<name>` in its files the entry's name.
+
+        An entry that asks for a sequence has the files of `may_write`, one that does not those of `writes`.
+        """
+        if not self.each:
+            return [self]
+        stages = []
+        for value in getattr(scene, self.each):
+            name = value["name"]
+            named = lambda files, name=name: {k: f.replace("<name>", name) for k, f in files.items()}
+            writes, beside = (self.may_write, self.beside) if "cameras" in value else (self.writes, [])
+            stages.append(
+                replace(
+                    self,
+                    name=f"{self.name}.{name}",
+                    entry=name,
+                    writes=named(writes),
+                    may_write={},
+                    beside=[folder.replace("<name>", name) for folder in beside],
+                )
+            )
+        return stages
 
     @property
     def report(self) -> str:

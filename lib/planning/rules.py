@@ -13,6 +13,7 @@ from lib.given.kinds import KINDS
 from lib.given.units import METRES
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
+AUGMENTED = re.compile(r"augmented\.[A-Za-z0-9_-]+\.(png|exr|mp4)")  # goals that an entry of `augment` makes
 KEYS = (
     *("board", "lens", "camera", "lamps", "reference", "transfer", "surfaces", "explain", "refine", "movable"),
     *("model", "goals", "augment", "exports", "params"),
@@ -49,7 +50,7 @@ def finite(value) -> bool:
 # ---- the rules, one function for each key ----
 
 
-def _mapping(key, value):
+def mapping(key, value):
     """The entries of a mapping from names; yields its own problems and returns the rest."""
     if not isinstance(value, dict):
         yield key, value, "is not a mapping"
@@ -60,7 +61,7 @@ def _mapping(key, value):
     return {name: item for name, item in value.items() if isinstance(name, str) and name}
 
 
-def _three(key, value, low, high, what):
+def three(key, value, low, high, what):
     if not (
         isinstance(value, list)
         and len(value) == 3
@@ -74,7 +75,7 @@ def _three(key, value, low, high, what):
 
 
 def board(value):
-    known = yield from _mapping("board", value)
+    known = yield from mapping("board", value)
     for key in sorted(known.keys() - {"corners", "square_m"}):
         yield f"board.{key}", known[key], "is an unknown key; known are corners, square_m"
     for key in [k for k in ("corners", "square_m") if k not in known]:
@@ -93,14 +94,14 @@ def lens(value):
 
 
 def camera(value):
-    known = yield from _mapping("camera", value)
+    known = yield from mapping("camera", value)
     for key in sorted(known.keys() - {"eye", "at", "up", "hfov_deg"}):
         yield f"camera.{key}", known[key], "is an unknown key; known are eye, at, up, hfov_deg"
     for key in [k for k in ("eye", "at", "hfov_deg") if k not in known]:
         yield f"camera.{key}", None, "is missing"
     sound = []
     for key in [k for k in ("eye", "at", "up") if k in known]:
-        problems = list(_three(f"camera.{key}", known[key], -math.inf, math.inf, ""))
+        problems = list(three(f"camera.{key}", known[key], -math.inf, math.inf, ""))
         sound += [] if problems else [key]
         yield from problems
     angle = known.get("hfov_deg", 60)
@@ -117,13 +118,13 @@ def camera(value):
 
 
 def lamps(value):
-    for name, lamp in (yield from _mapping("lamps", value)).items():
+    for name, lamp in (yield from mapping("lamps", value)).items():
         where, emittance = f"lamps.{name}", lamp
         if isinstance(lamp, dict):
             where, emittance = f"{where}.emittance", lamp.get("emittance")
             yield from _more_of_lamp(f"lamps.{name}", lamp)
         if emittance != "unknown":
-            yield from _three(where, emittance, 0, math.inf, " or `unknown`")
+            yield from three(where, emittance, 0, math.inf, " or `unknown`")
 
 
 def _more_of_lamp(where, lamp):
@@ -159,8 +160,8 @@ def _lobe(where, value):
 
 
 def reference(value):
-    for name, rho in (yield from _mapping("reference", value)).items():
-        yield from _three(f"reference.{name}", rho, 0, 1, "")
+    for name, rho in (yield from mapping("reference", value)).items():
+        yield from three(f"reference.{name}", rho, 0, 1, "")
 
 
 def explain(value):
@@ -175,17 +176,17 @@ def explain(value):
 
 
 def refine(value):
-    yield from _names("refine", value, f"a list of {', '.join(REFINED)}")
+    yield from names_of("refine", value, f"a list of {', '.join(REFINED)}")
     for name in value if isinstance(value, list) else ():
         if isinstance(name, str) and name and name not in REFINED:
             yield "refine", name, f"is none of {', '.join(REFINED)}"
 
 
 def movable(value):
-    yield from _names("movable", value, "a list of objects of the model")
+    yield from names_of("movable", value, "a list of objects of the model")
 
 
-def _names(key, value, what):
+def names_of(key, value, what):
     """A list of different names."""
     if not isinstance(value, list):
         yield key, value, f"is not {what}"
@@ -198,7 +199,7 @@ def _names(key, value, what):
 
 
 def model(value):
-    known = yield from _mapping("model", value)
+    known = yield from mapping("model", value)
     for key in sorted(known.keys() - {"unit", "up"}):
         yield f"model.{key}", known[key], "is an unknown key; known are unit, up"
     for key, words in (("unit", METRES), ("up", AXES)):
@@ -215,12 +216,12 @@ def transfer(value, scene):
         elif "gamma" in value and not (finite(value["gamma"]) and value["gamma"] > 0):
             yield "transfer.gamma", value["gamma"], "is not a positive number"
         elif "curve" in value:
-            yield from _file("transfer.curve", value["curve"], scene)
+            yield from scene_file("transfer.curve", value["curve"], scene)
     elif not isinstance(value, str) or value not in TRANSFERS:
         yield "transfer", value, f"is none of {', '.join(TRANSFERS)}, {{gamma: 2.2}}, {{curve: file.json}}"
 
 
-def _file(key, value, scene):
+def scene_file(key, value, scene):
     """A file of the scene's folder."""
     if not isinstance(value, str) or not value or "|" in value:
         yield key, value, "is not a file's name"
@@ -231,7 +232,7 @@ def _file(key, value, scene):
 
 
 def surfaces(value):
-    for name, kind in (yield from _mapping("surfaces", value)).items():
+    for name, kind in (yield from mapping("surfaces", value)).items():
         if not isinstance(kind, str) or kind not in KINDS:
             yield f"surfaces.{name}", kind, f"is none of {', '.join(KINDS)}"
 
@@ -245,7 +246,9 @@ def goals(value, known, scene):
             yield "goals", goal, "is not a file's name"
         elif outside(goal):
             yield "goals", goal, "lies outside the scene's folder"
-        elif goal not in known and not (scene.given(goal) and "|" not in goal and not goal.startswith("truth/")):
+        elif not (goal in known or AUGMENTED.fullmatch(goal)) and not (
+            scene.given(goal) and "|" not in goal and not goal.startswith("truth/")
+        ):
             yield "goals", goal, "is neither made by a stage nor given"
 
 
@@ -263,55 +266,21 @@ def outside(path) -> bool:
     return False
 
 
-def augment(value, scene):
-    if not isinstance(value, list):
-        yield "augment", value, "is not a list"
-        return
-    names = set()
-    for number, entry in enumerate(value):
-        where = f"augment[{number}]"
-        if not isinstance(entry, dict):
-            yield where, entry, "is not a mapping"
-            continue
-        for key in entry.keys() - {"name", "camera", "add", "change"}:
-            yield f"{where}.{key}", entry[key], "is an unknown key; known are name, camera, add, change"
-        name = entry.get("name")
-        if not isinstance(name, str) or not NAME.fullmatch(name):
-            yield f"{where}.name", name, "is not a name of letters, digits, _ and -"
-        elif name in names:
-            yield f"{where}.name", name, "stands there twice"
-        else:
-            names.add(name)
-        add = entry.get("add")
-        files = {"camera": entry.get("camera"), "add.file": add.get("file") if isinstance(add, dict) else None}
-        for key, file in files.items():
-            if file is None:
-                continue
-            if not isinstance(file, str):
-                yield f"{where}.{key}", file, "is not a file's name"
-            elif outside(file):
-                yield f"{where}.{key}", file, "lies outside the scene's folder"
-            elif not (scene.folder / file).is_file():
-                yield f"{where}.{key}", file, "is not in the scene's folder"
-    if value:
-        yield "augment", [e.get("name") if isinstance(e, dict) else e for e in value], "is not built yet"
-
-
 def exports(value, kinds):
     """kinds : of exports that a stage writes"""
-    yield from _names("exports", value, f"a list of {', '.join(kinds)}")
+    yield from names_of("exports", value, f"a list of {', '.join(kinds)}")
     for name in value if isinstance(value, list) else ():
         if isinstance(name, str) and name and name not in kinds:
             yield "exports", name, f"is none of {', '.join(kinds)}"
 
 
 def params(value, stages):
-    for stage, settings in (yield from _mapping("params", value)).items():
+    for stage, settings in (yield from mapping("params", value)).items():
         if stage not in stages:
             yield f"params.{stage}", settings, f"belongs to no stage; stages are {', '.join(stages)}"
             continue
         known = stages[stage].params
-        for name, setting in (yield from _mapping(f"params.{stage}", settings)).items():
+        for name, setting in (yield from mapping(f"params.{stage}", settings)).items():
             where = f"params.{stage}.{name}"
             if name not in known:
                 yield where, setting, f"is no number of {stage}, which has {', '.join(known) or 'none'}"

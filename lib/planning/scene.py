@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lib.core.stage import BadInput
-from lib.planning import rules
+from lib.given.transfer_kinds import OF_PICTURE
+from lib.planning import augment, rules
 from lib.planning.files import (
     MODEL,
     OBJECTS,
@@ -20,6 +21,7 @@ from lib.planning.files import (
     alternatives,
     centre_of,
     export_kind,
+    here,
     lens_of,
     object_files,
     photograph_of,
@@ -136,6 +138,17 @@ class Scene:
             return list(getattr(self, key)) or None
         return getattr(self, key)
 
+    def entry(self, name) -> dict:
+        """The entry of `augment` of that name, its files as paths."""
+        return augment.located(self._entry(name), here(self.folder))
+
+    def entry_files(self, name) -> list[Path]:
+        """The files that the entry names."""
+        return [self.folder / file for _, file in augment.files(self._entry(name))]
+
+    def _entry(self, name):
+        return next(value for value in self.augment if value["name"] == name)
+
 
 def _recognised(scene, placed) -> dict[str, str]:
     """Where recognise writes the camera and the pose: beside those that a person tells."""
@@ -225,7 +238,7 @@ def read(folder, stages) -> Scene:
         "model": rules.model,
         "surfaces": rules.surfaces,
         "goals": lambda v: rules.goals(v, outputs, bare),
-        "augment": lambda v: rules.augment(v, bare),
+        "augment": lambda v: augment.augment(v, bare),
         "exports": lambda v: rules.exports(v, kinds),
         "params": lambda v: rules.params(v, stages),
     }
@@ -235,6 +248,9 @@ def read(folder, stages) -> Scene:
     for key in ("augment", "refine", "movable", "exports"):
         if key in sound:
             sound[key] = tuple(sound[key])
+    if sound.get("augment") and sound.get("transfer") in OF_PICTURE:
+        why = f"needs a transfer function of the light alone, which {sound['transfer']} is not"
+        problems.append(f"{path}: augment: {why}")
     scene = Scene(folder.name, folder, **sound)
     return replace(scene, problems=(*problems, *folder_problems(scene)))
 

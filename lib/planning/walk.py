@@ -99,22 +99,25 @@ def walk(scene, stages, build, wishes=(None,)) -> Plan:
     """
     wished = lambda stage: BY_NAME in stage.asked_by and stage.name in wishes
     asked = lambda stage: not stage.asked_by or wished(stage) or any(map(scene.asks, stage.asked_by))
-    stages = {name: stage.within(scene) for name, stage in stages.items() if asked(stage)}
+    every = [one for stage in stages.values() if asked(stage) for one in stage.of_entries(scene)]
+    stages = {stage.name: stage.within(scene) for stage in every}
+    entries = [file for stage in stages.values() if stage.entry for file in stage.written.values()]
     closing = [goal for goal in CLOSING if any(goal in s.files for s in stages.values())]
     files = [file for stage in stages.values() for file in stage.outputs]
     closing += [file for file in files if export_kind(file) in scene.exported]
     whole = _Walk(scene, stages)
-    for goal in [*scene.goals, *closing]:
+    for goal in [*scene.goals, *entries, *closing]:
         whole.need(goal, goal)
     walks, goals, problems = [], [], list(scene.problems)
     for wish in wishes:
         if wish is None:
             walks.append(whole)
-            goals += [*scene.goals, *closing]
-        elif wish in stages:
+            goals += [*scene.goals, *entries, *closing]
+        elif meant := [stage for stage in stages.values() if wish in (stage.name, stage.kind)]:
             walks.append(_Walk(scene, stages, whole.planned))
-            walks[-1].plan(stages[wish], f"{scene.name}/{wish}")
-            goals += [file for file in stages[wish].outputs if not scene.given(file)]
+            for stage in meant:
+                walks[-1].plan(stage, f"{scene.name}/{wish}")
+                goals += [file for file in stage.outputs if not scene.given(file)]
         else:
             problems.append(f"{scene.name}/{wish}: there is no such stage; stages are {', '.join(stages)}")
     planned = [name for name in stages if any(name in way.planned for way in walks)]

@@ -10,11 +10,12 @@ from lib.synthetic.ward_bsdf import register_ward
 MAX_DEPTH = 120  # bounces; Russian roulette is unbiased, and what lies beyond is less than 0.9^120 = 3e-6
 
 
-def mitsuba_scene(mi, recipe, folder, roulette, window=None):
+def mitsuba_scene(mi, recipe, folder, roulette, window=None, more=None):
     """The recipe as a Mitsuba scene: one mesh per group, written into `folder`.
 
     roulette : bounces before Russian roulette
     window : x0, y0, x1, y1 px of the picture; None is all of it
+    more : {name: shape} that no recipe has, as Mitsuba's dictionaries
     """
     scene = {
         "type": "scene",
@@ -31,7 +32,7 @@ def mitsuba_scene(mi, recipe, folder, roulette, window=None):
             radiance = [float(x) / np.pi for x in recipe.lamps[group]]
             shape["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
         scene[f"group{i}"] = shape
-    return mi.load_dict(scene, optimize=False)  # optimised, identical materials would collapse into one
+    return mi.load_dict(scene | (more or {}), optimize=False)  # optimised, identical materials would collapse into one
 
 
 def _sensor(mi, recipe, window):
