@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""§2.1 Surfaces: regions of one or two photographs, joined where nothing but shading parted them, cut at creases.
+"""§2.1 Surfaces: regions of one or two photographs, joined where only shading parted them, cut at creases and necks.
 
     $ stages/surfaces.py --photograph left.png --photograph-right right.png \\
           --regions left.regions.png --regions-right right.regions.png \\
           --surfaces left.surfaces.png --surfaces-right right.surfaces.png --report surfaces.report.json
 
 reads   photographs, regions
-writes  surfaces, surfaces_right       as regions; a surface bears the smallest label of its regions, what a crease cut
-                                       off one above them
+writes  surfaces, surfaces_right       as regions; a surface bears the smallest label of its regions, what a crease or
+                                       a neck cut off one above them
 """
 
 import sys
@@ -38,7 +38,7 @@ def main(opt):
             import cv2  # noqa: F401  where lib/ imports late
             import numpy as np
 
-            from lib.vision import creases, label_files, surfaces
+            from lib.vision import creases, label_files, necks, surfaces
         with report.excluded("compile"):
             surfaces.warm_up()
         sides = {"left": (opt.photograph, opt.regions, opt.surfaces)}
@@ -50,7 +50,9 @@ def main(opt):
             with report.timing("surfaces"):
                 joined = surfaces.surfaces(picture, labels)
             with report.timing("creases"):
-                found[side] = creases.cut(picture, joined)
+                bent = creases.cut(picture, joined)
+            with report.timing("necks"):
+                found[side] = necks.cut(bent)
         report["surfaces"] = {side: len(np.unique(labels)) for side, labels in found.items()}
         label_files.write({sides[side][2]: labels for side, labels in found.items()})
 

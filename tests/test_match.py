@@ -113,6 +113,42 @@ def test_equal_twins_are_ambiguous():
     assert "ambiguous" in matches.refused_left or "not mutual" in matches.refused_left
 
 
+def chessboard(disparity, columns=9, rows=6, square=14):
+    """A board 80 px from the left: its squares alone have labels, 1 .. rows x columns, row by row; two colours."""
+    labels = np.zeros((rows * square + 40, columns * square + 160), np.int32)
+    values = np.full((*labels.shape, 1), 0.4)
+    tile = np.add.outer(columns * np.arange(rows), np.arange(columns)).repeat(square, 0).repeat(square, 1)
+    board = slice(20, 20 + rows * square), slice(80, 80 + columns * square)
+    labels[board], values[board] = tile + 1, np.where((tile // columns + tile % columns) % 2, 0.85, 0.15)[..., None]
+    both = [labels, np.roll(labels, -disparity, 1)], [values, np.roll(values, -disparity, 1)]
+    return matching.stereo(*parallel(*labels.shape[::-1], 200.0, 0.1)), *both
+
+
+@pytest.mark.parametrize("disparity", [5, 28, 33, 61])
+def test_a_chessboard_is_told_by_its_ends(disparity):
+    """Each square is like every second one, and looked for where it would lie 28 px nearer or farther as well."""
+    pair, labels, values = chessboard(disparity)
+    matches = matching.match(pair, *labels, *values)
+    assert (matches.left == matches.right).all() and len(matches.left) == 54
+
+
+def test_a_chessboard_in_another_exposure():
+    """A factor of .8 is .17 of a white square: more than colours may differ, but all of them differ by it."""
+    pair, labels, values = chessboard(33)
+    matches = matching.match(pair, *labels, values[0], 0.8 * values[1] * np.linspace(0.97, 1.03, 286)[:, None])
+    assert (matches.left == matches.right).all() and len(matches.left) == 54
+
+
+def test_a_square_without_a_partner_takes_no_other():
+    """Two neighbours on the left, the next but one on the right: each would be the other's only candidate."""
+    pair, labels, values = chessboard(33)
+    gone = labels[1] == 20
+    labels[1][gone], values[1][gone] = 0, 0.4
+    labels[0][labels[0] == 22], labels[1][labels[1] == 20] = 0, 0
+    matches = matching.match(pair, *labels, *values)
+    assert (matches.left == matches.right).all() and 20 not in matches.left and len(matches.left) > 48
+
+
 def test_each_region_is_matched_or_refused_once():
     Q = pairs.quads(3)
     matches = found(Q, smallest=2500)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lib.given import image
-from lib.vision import creases, segmentation
+from lib.vision import creases, necks, segmentation
 from lib.vision.surfaces import surfaces
 
 H, W = 90, 120
@@ -198,3 +198,51 @@ def test_stage_refuses_regions_of_another_picture(refuses, files):
 def test_stage_refuses_half_a_pair(refuses, files):
     (line,) = refuses("stages/surfaces.py", *words(files, ("",)), *words(files, ("-right",), ("photograph",)))
     assert "--regions-right" in line
+
+
+# ---- necks ----
+
+
+def squares(width, gap=2):
+    """Label 1, and two squares of label 2 beside each other, `gap` px apart, joined by a bar `width` px high."""
+    labels = np.ones((60, 90), np.int32)
+    labels[15:45, 10:40] = labels[15:45, 40 + gap : 70 + gap] = 2
+    labels[30 : 30 + width, 40 : 40 + gap] = 2
+    return labels
+
+
+@pytest.mark.parametrize("width", [1, 2, 4])
+@pytest.mark.parametrize("gap", [1, 2, 6])
+def test_what_hangs_together_by_few_pixels_is_cut(width, gap):
+    labels = squares(width, gap)
+    found = necks.cut(labels)
+    assert (found[labels == 1] == 1).all() and set(np.unique(found)) == {1, 2, 3}
+    assert len({found[30, 20], found[30, 55 + gap]}) == 2
+    assert len(np.unique(found[15:45, 10:40])) == 1 or width > 1  # the cut is in the neck
+    assert connected(found).max() == 3
+
+
+def test_corners_that_touch_in_the_blur_are_cut():
+    """Of a chessboard's black squares, one pixel across each corner: every square is one surface."""
+    tile = np.add.outer(np.arange(80) // 20, np.arange(100) // 20) % 2
+    labels = connected(tile)  # each square its own, and the black ones 2
+    labels[tile == 1] = 2
+    for y in range(20, 80, 20):
+        for x in range(20, 100, 20):
+            labels[y - 1 : y + 1, x - 1 : x + 1] = 2
+    found = necks.cut(labels)
+    inside = [found[20 * r + 8 : 20 * r + 12, 20 * c + 8 : 20 * c + 12] for r in range(4) for c in range(5)]
+    assert all(len(np.unique(x)) == 1 for x in inside) and len({int(x[0, 0]) for x in inside}) == 20
+
+
+@pytest.mark.parametrize("width", [6, 12])
+def test_a_broad_bar_is_no_neck(width):
+    labels = squares(width, 6)
+    assert (necks.cut(labels) == labels).all()
+
+
+def test_a_spur_is_no_part():
+    """A pole of 3 px on a square, and a knob of 8 px at its end."""
+    labels = np.ones((60, 90), np.int32)
+    labels[15:45, 10:40], labels[29:32, 40:70], labels[26:34, 70:78] = 2, 2, 2
+    assert (necks.cut(labels) == labels).all()

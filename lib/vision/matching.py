@@ -23,9 +23,12 @@ from lib.given import cameras, image
 from lib.given.cameras import Camera
 from lib.given.view import size_problem
 from lib.vision import matching_kernels as kernels
+from lib.vision.matching_groups import contested, weights
 from lib.vision.matching_kernels import RegionArrays, ViewArrays
 
 SAME_CENTRE = 1e-9  # data/SCENE.md, section 2: cameras nearer than this have no baseline
+LEAST_MATCHES = 8  # that tell how differently the two photographs are exposed
+LEAST_GAIN = 0.02  # a difference of exposure worth matching again
 STEEP = 0.2  # cosine: directions nearer to the baseline's than this cannot be rectified
 
 
@@ -198,7 +201,8 @@ def match(
     """One to one, strict, best first.
 
     Two regions match when each is the other's best, they are alike by at least `similarity`, and the next best is below
-    `margin` of that.
+    `margin` of that. What is best is judged together with the neighbours (matching_groups): a square of a chessboard is
+    like every second one, but its neighbours' disparities go on only with one of them.
 
     labels_* : (H, W) int, from 1;  values_* : (H, W, C), display-referred in [0, 1], both of C channels
     smallest : px, regions of fewer pixels say too little
@@ -208,24 +212,19 @@ def match(
     l, r = regions(left_view), regions(right_view)
     by_row = np.flatnonzero(r.pixels >= smallest)
     by_row = by_row[np.argsort(r.low[by_row], kind="stable")]
-    found = kernels.candidates(l, r, left_view, right_view, by_row, pair.f_px, smallest, colour)
-    best = np.lexsort((found.right, found.left, -found.similarity))
-    i, j, s = found.left[best].astype(int), found.right[best].astype(int), found.similarity[best]
-    plane = found.plane[best].reshape(-1, 3)
 
-    at_l, second_l = _first_and_second(i, s, len(l.pixels))
-    at_r, second_r = _first_and_second(j, s, len(r.pixels))
-    k = np.arange(len(i))
-    alike, mutual = s >= similarity, (at_l[i] == k) & (at_r[j] == k)
-    clear = np.maximum(second_l[i], second_r[j]) <= margin * s
-    for reason, at in ((found.left_reason, at_l), (found.right_reason, at_r)):
-        for x in np.flatnonzero(at >= 0):
-            reason[x] = (
-                kernels.ALIKE if not alike[at[x]] else kernels.MUTUAL if not mutual[at[x]] else kernels.AMBIGUOUS
-            )
-    keep = alike & mutual & clear
-    left, right, s = i[keep] + 1, j[keep] + 1, s[keep]
-    m_rect = plane[keep] / pair.baseline / np.array([1, 1, pair.f_px])
+    def chosen(gain):
+        """Candidates with the left photograph's values times gain (C,), and which of them are matches."""
+        lit, seen = l._replace(mean=l.mean * gain), left_view._replace(values=left_view.values * gain)
+        found = kernels.candidates(lit, r, seen, right_view, by_row, pair.f_px, smallest, colour)
+        return found, _choice(pair, found, (labels_left, labels_right), (lit, r), similarity, margin, colour)
+
+    found, best = chosen(np.ones(values_left.shape[2]))
+    gain = _gain(l.mean[found.left[best]], r.mean[found.right[best]])
+    if np.abs(gain - 1).max() > LEAST_GAIN:
+        found, best = chosen(gain)
+    left, right, s = found.left[best] + 1, found.right[best] + 1, found.similarity[best]
+    m_rect = found.plane.reshape(-1, 3)[best] / pair.baseline / np.array([1, 1, pair.f_px])
     return Matches(
         left=left,
         right=right,
@@ -236,14 +235,55 @@ def match(
     )
 
 
-def _first_and_second(index, similarity, n):
-    """Of each of n regions: its best candidate or -1, and the similarity of its second or 0. Candidates: best first."""
+def _choice(pair, found, labels, of, similarity, margin, colour):
+    """Which candidates are matches, best first. Sets the reasons of those that are none.  labels, of : left, right"""
+    l, r = of
+    i, j, s = found.left, found.right, found.similarity
+    plane = found.plane.reshape(-1, 3)
+    w = np.where(s >= similarity, weights(labels, i, j, np.where(s >= similarity, s, 0), plane, l.centre), s)
+    best = np.lexsort((j, i, -w))
+    at_l, second_l = _first_and_second(i, w, best, len(l.pixels))
+    at_r, second_r = _first_and_second(j, w, best, len(r.pixels))
+    k = np.arange(len(i))
+    alike, mutual = s >= similarity, (at_l[i] == k) & (at_r[j] == k)
+    clear = np.maximum(second_l[i], second_r[j]) <= margin * w
+    for reason, at in ((found.left_reason, at_l), (found.right_reason, at_r)):
+        for x in np.flatnonzero(at >= 0):
+            reason[x] = (
+                kernels.ALIKE if not alike[at[x]] else kernels.MUTUAL if not mutual[at[x]] else kernels.AMBIGUOUS
+            )
+    keep = np.flatnonzero(alike & mutual & clear)
+    i_kept, j_kept, plane_kept = i[keep], j[keep], plane[keep]
+    alone = weights(labels, i_kept, j_kept, s[keep], plane_kept, l.centre)  # without what lost against others
+    keep = keep[~contested(pair, labels, of, alone, i_kept, j_kept, plane_kept, colour)]
+    return keep[np.lexsort((j[keep], i[keep], -s[keep]))]
+
+
+def _gain(left, right):
+    """(C,) of the right photograph over the left one, from the mean colours (M, C) of matches; 1 where they are few.
+
+    The weighted median of the ratios: two exposures of one gamma differ by a factor, and a wrong match has any.
+    """
+    if len(left) < LEAST_MATCHES:
+        return np.ones(left.shape[1])
+    gain = np.ones(left.shape[1])
+    for c in range(len(gain)):
+        ratio = right[:, c] / np.maximum(left[:, c], 1e-6)
+        order = np.argsort(ratio, kind="stable")
+        total = np.cumsum(left[order, c])
+        gain[c] = ratio[order[np.searchsorted(total, total[-1] / 2)]]
+    return gain
+
+
+def _first_and_second(index, weight, best, n):
+    """Of each of n regions: its best candidate or -1, and the weight of its second or 0.  best : order of candidates"""
     second, at = np.zeros(n), np.full(n, -1)
-    for k, x in enumerate(index):
+    for k in best:
+        x = index[k]
         if at[x] < 0:
             at[x] = k
         elif second[x] == 0:
-            second[x] = similarity[k]
+            second[x] = weight[k]
     return at, second
 
 

@@ -95,3 +95,28 @@ def sides(f, labels, mine, own, A, F):
             of_b += is_b
             n += 1
     return n, of_b
+
+
+@njit()
+def grow(labels, part):
+    """Give each pixel whose part is -1 the part that is nearest by steps inside its own label; those of none stay.
+
+    labels, part : (H, W) int, part is changed
+    """
+    H, W = labels.shape
+    queue = np.empty((H * W, 2), np.int64)
+    n = 0
+    for y in range(H):
+        for x in range(W):
+            if part[y, x] >= 0:
+                queue[n, 0], queue[n, 1] = y, x
+                n += 1
+    k = 0
+    while k < n:
+        y, x = queue[k]
+        k += 1
+        for v, u in ((y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)):
+            if 0 <= v < H and 0 <= u < W and part[v, u] < 0 and labels[v, u] == labels[y, x]:
+                part[v, u] = part[y, x]
+                queue[n, 0], queue[n, 1] = v, u
+                n += 1

@@ -16,7 +16,8 @@ MISFIT = 1.2  # times the ordinary rms of the pair's borders: what lies farther 
 CHI2_95 = 7.81  # of 3 degrees of freedom
 SIDE_SIGMAS = np.array([0, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])  # px, tried
 LINE = 1.5  # px, standard deviation of border points across the line that they lie in
-RESTS = 5.0  # times less certain without the sides of holes: the plane rests on them
+RESTS = 5.0  # times less certain without the sides of holes, or of one line: the plane rests on them
+SAME_LINE = 2.0  # px: sides nearer to a line, all along, lie on it
 ESSENTIAL = 0.9  # share of what is known in some direction that is one side's, at most: the plane rests on it
 
 
@@ -76,16 +77,21 @@ def _of_neighbours(x):
 def side_sigma(measured: list[Measured]) -> float:
     """How far sides of outlines are off as a whole (slivers too thin to see, blur that differs left from right): px.
 
-    One number for the pair, by restricted maximum likelihood. In one facet, what is common to a side's points cannot be
-    told from the facet's own disparity. Over all facets it can, for a facet has more sides than unknowns.
+    One number for the pair, by restricted likelihood. In one facet, what is common to a side's points cannot be told
+    from the facet's own disparity. Over all facets it can, for a facet has more sides than unknowns. It is the rms
+    under the likelihood, not its maximum: that is 0 in half of the pairs, for few facets say little.
     """
+    if not measured:
+        return 0.0
     cost = np.zeros((len(measured), len(SIDE_SIGMAS)))
     for i, x in enumerate(measured):
         for k, s in enumerate(SIDE_SIGMAS):
             A, b, square, volume = with_sides(x, s)
             A = A + 1e-9 * np.eye(3)
             cost[i, k] = square - b @ np.linalg.solve(A, b) + volume + np.linalg.slogdet(A)[1]
-    return float(SIDE_SIGMAS[cost.sum(axis=0).argmin()]) if len(measured) else 0.0
+    cost = cost.sum(axis=0)
+    weight = np.exp(-0.5 * (cost - cost.min())) * np.gradient(SIDE_SIGMAS)
+    return float(np.sqrt(weight @ SIDE_SIGMAS**2 / weight.sum()))
 
 
 def ordinary_rms(measured: list[Measured]) -> float:
@@ -141,12 +147,41 @@ def rests_on_holes(x: Measured, hole) -> bool:
     hole : (P,) bool of the sides, see contours.in_holes
     """
     of_hole = hole[x.rows[:, PART].astype(int)]
-    if not of_hole.any():
-        return False
+    return bool(of_hole.any() and _rests_on(x, of_hole))
+
+
+def rests_on_one_line(x: Measured) -> bool:
+    """The plane hangs on the sides of one line in the picture: if that is not the facet's own, the plane is anything.
+
+    Two lines give a plane whatever they are: upright edges of two things before a wall are coplanar as well. Only a
+    third one, or texture, confirms them.
+    """
+    return any(_rests_on(x, line) for line in _lines(x))
+
+
+def _rests_on(x, some):
+    """Whether the plane is RESTS times less certain without some of the border points, (n,) bool."""
     J, w = x.rows[:, :3] / [x.size, x.size, 1], x.rows[:, WEIGHT]
     least = 1e-9 * np.eye(3) + (x.texture[1] if x.texture is not None else 0)
-    unsure = lambda some: np.linalg.eigvalsh((J[some] * w[some, None]).T @ J[some] + least)[0] ** -0.5
-    return bool(unsure(~of_hole) > RESTS * unsure(np.ones(len(w), bool)))
+    unsure = lambda of: np.linalg.eigvalsh((J[of] * w[of, None]).T @ J[of] + least)[0] ** -0.5
+    return bool(unsure(~some) > RESTS * unsure(np.ones(len(w), bool)))
+
+
+def _lines(x):
+    """[(n,) bool] the border points of each line: sides on one line are one, those of a wall beside a door."""
+    part, uv = x.rows[:, PART].astype(int), x.rows[:, [U, V]]
+    number, lines = np.bincount(part), []
+    for p in np.argsort(-number, kind="stable")[: np.count_nonzero(number)]:
+        mine = part == p
+        for points, middle, across in lines:
+            if np.abs((uv[mine] - middle) @ across).max() < SAME_LINE:
+                points |= mine
+                break
+        else:
+            middle = uv[mine].mean(axis=0)
+            spread = (uv[mine] - middle).T @ (uv[mine] - middle)
+            lines.append((mine, middle, np.linalg.eigh(spread)[1][:, 0]))
+    return [points for points, _, _ in lines]
 
 
 def _of_each_side(x: Measured, sigma_side: float, step):

@@ -275,5 +275,8 @@ def _elsewhere(job, scenery, thing) -> Fitted | None:
     if far <= MOVED_M or step @ np.linalg.solve(C, step) <= MOVED_CHI2:
         return None
     size = dimensions.surest(scenery, thing, photographs)
-    # one of another height may look moved, or the other way round: whichever leaves its edges less
-    return None if size and size.rms_px < here.rms_px else here
+    # One of another height may look moved, or the other way round: whichever leaves its edges less, and one cause
+    # rather than both: what is higher and was lifted to its upper edges is still higher.
+    if size and (size.rms_px < here.rms_px or dimensions.surest(scenery.at(thing, here.T), thing, photographs)):
+        return None
+    return here
