@@ -30,13 +30,14 @@ def options():
     parser.add_argument("--scene", default="scene", help="its name")
     parser.add_argument("--transfer", type=stage.json_option, help="what scene.yaml says of it")
     parser.add_argument("--reports", nargs="*", default=[])
+    parser.add_argument("--changed", nargs="*", default=[], help="augmented.<name>.png, or .mp4 of a sequence")
     return parser
 
 
 def main(opt):
     from lib.core.report import Report
 
-    with Report.of(opt, opt.reports) as report:
+    with Report.of(opt, [*opt.reports, *opt.changed]) as report:
         with report.excluded("imports"):
             import cv2  # noqa: F401  where lib/ imports late
             import jinja2  # noqa: F401
@@ -45,7 +46,7 @@ def main(opt):
             from lib.verdict.page import build, exports, parts
 
         with report.timing("parts"):
-            content = parts.read(vars(opt), opt.scene, opt.reports, opt.page)
+            content = parts.read(vars(opt), opt.scene, opt.reports, opt.page, opt.changed)
         with report.timing("textures"):
             content.thumbnails = thumbnails(opt, report, content.materials)
         if opt.gltf:

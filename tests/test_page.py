@@ -9,8 +9,9 @@ import pytest
 from lib.given import image
 from lib.picture import albedo_maps
 from lib.planning.command import imports
+from lib.verdict import stage_reports
 from lib.verdict.page import build, pictures, plots, summary
-from lib.verdict.page.parts import Parts
+from lib.verdict.page.parts import Changed, Parts
 from tests.helpers.html import sane
 from tests.helpers.page_parts import climbed, everything, parts_of, texture
 
@@ -44,6 +45,19 @@ def of_parts(parts):
 
 
 # ---- what is there, and only that ----
+
+
+def test_changed_pictures_lie_over_the_photograph_where_they_show_the_same_view():
+    """A slider for a change of the photograph, a picture for another camera, a link for a sequence."""
+    parts = parts_of(everything())
+    entries = {"egg": {"name": "egg", "remove": ["a"]}, "door": {"name": "door", "camera": "door.cameramodel"}}
+    reports = {f"augment.{name}": {"arguments": {"entry": entry}} for name, entry in entries.items()}
+    parts.reports |= {name: stage_reports.of(content, name) for name, content in reports.items()}
+    parts.changed = [Changed(name, f"augmented.{name}.png", parts.photograph) for name in entries]
+    parts.changed.append(Changed("walk", "augmented.walk.mp4", None))
+    section = sane(build.page(parts)).section("Changed pictures")
+    assert [a.attributes["href"] for a in section.all("a")] == [one.address for one in parts.changed]
+    assert len(section.all("input")) == 1 and section.one("span", "tag right").text == "egg"
 
 
 def test_what_does_not_fit_is_no_finding():

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from lib.core import artefact
 from lib.core.stage import option_of
-from lib.planning.pipeline import REPORTS
+from lib.planning.pipeline import CHANGED, REPORTS
 
 
 class Command(NamedTuple):
@@ -48,6 +48,10 @@ def _reading(plan, stage, file):
     if file == REPORTS:
         reports = [plan.folder(plan.stages[name]) / plan.stages[name].report for name in plan.before(stage)]
         return [str(path) for path in reports], reports
+    if file == CHANGED:
+        stages = [plan.stages[name] for name in plan.before(stage) if plan.stages[name].entry]
+        changed = [plan.folder(other) / next(iter(other.writes.values())) for other in stages]
+        return [str(path) for path in changed], changed
     if file.endswith("/"):
         folder = plan.scene.given(file)
         if not folder:

@@ -8,6 +8,7 @@ from lib.planning.files import export_kind, here
 from lib.planning.yaml_file import read_yaml
 
 REPORTS = "*.report.json"  # of the planned stages above
+CHANGED = "augmented.*"  # what those of them write that make entries of scene.yaml: a picture each, or a sequence
 FACTS = (
     "board",
     "lens",

@@ -11,7 +11,7 @@ from lib.core.stage import BadInput
 from lib.given.causes import GEOMETRIC
 from lib.planning import doctor
 from lib.planning.files import SIDES, alternatives, export_kind
-from lib.planning.pipeline import REPORTS, Stage
+from lib.planning.pipeline import CHANGED, REPORTS, Stage
 from lib.planning.scene import Scene
 
 BY_NAME = "by name"  # in `asked_by`: a scene that does not ask for the stage may have it by `make <scene>/<stage>`
@@ -195,7 +195,7 @@ class _Walk:
         """The stages that make what reader may read, if they are worth it."""
         if any(file in stage.refines.values() for stage in self.stages.values()):
             makers = []  # it comes of itself, with the first of two runs
-        elif file == REPORTS:
+        elif file in (REPORTS, CHANGED):
             makers = list(self.stages)[: list(self.stages).index(reader.name)]
         else:
             maker = None if self.scene.given(file) else self.maker(file)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lib.verdict.page import exports, ladder, photometry, running, summary, vision
+from lib.verdict.page import changed, exports, ladder, photometry, running, summary, vision
 from lib.verdict.page.html import asset, render, sentence
 from lib.verdict.page.parts import Parts
 
@@ -23,6 +23,7 @@ def _page(parts: Parts, width):
     about = summary.about(parts)
     sections = [
         summary.hero(parts, width),
+        changed.changed_section(parts, width),
         photometry.difference_section(parts, width),
         photometry.materials_section(parts),
         ladder.ladder_section(parts),

@@ -21,6 +21,15 @@ EXPORTS = ("gltf", "mitsuba", "radiance", "usd", "colmap", "blender")
 LEFT_OUT = re.compile(r"^#   without ([\w-]+): (.*)$", re.MULTILINE)  # in the head of plan.mk
 
 
+@dataclass(frozen=True, eq=False)
+class Changed:
+    """An entry of `augment`. address : of its file, from the page;  picture : (H, W, C) display, None of a sequence"""
+
+    name: str
+    address: str
+    picture: np.ndarray | None
+
+
 @dataclass
 class Parts:
     """photograph, rendered : (H, W, C) display values in [0, 1], C = 1 or 3;  linear : the photograph is an EXR
@@ -28,6 +37,7 @@ class Parts:
     group, object, facet : (H, W) int, index + 1;  hidden, trusted : (H, W) bool;  depth : (H, W) m, 0 = nothing
     reports : {stage: StageReport};  plan : [(stage, why it was left out)]
     thumbnails : {group: {facet: ladder.Thumbnail}}
+    changed : [Changed], the entries of `augment`
     exports : {kind: its file, as the page names it};  view : the HTML of the exported scene in space
     """
 
@@ -49,6 +59,7 @@ class Parts:
     plan: list = field(default_factory=list)
     thumbnails: dict = field(default_factory=dict)
     vision: Vision | None = None
+    changed: list = field(default_factory=list)
     exports: dict = field(default_factory=dict)
     view: str | None = None
 
@@ -70,8 +81,10 @@ class Parts:
         return self.comparison or Comparison()
 
 
-def read(files, scene, reports, page) -> Parts:
+def read(files, scene, reports, page, changed=()) -> Parts:
     """files : {name: path or None};  reports : paths of the stages' reports;  page : path of the page
+
+    changed : paths of what the entries of `augment` made.
 
     What the plan left out stands in plan.mk beside the page.
     """
@@ -103,8 +116,15 @@ def read(files, scene, reports, page) -> Parts:
         reports=stage_reports.read_all(reports),
         plan=left_out(Path(page).parent / "plan.mk"),
         vision=_read_vision(files),
+        changed=[_changed(page, Path(path)) for path in changed],
         exports={kind: _beside(page, files[kind]) for kind in EXPORTS if files[kind]},
     )
+
+
+def _changed(page, path) -> Changed:
+    """Of augmented.<name>.png, or the preview of a sequence."""
+    name, address = path.stem.partition(".")[2], _beside(page, path)
+    return Changed(name, address, image.read_photograph(path).values if path.suffix == ".png" else None)
 
 
 def _beside(page, path):
