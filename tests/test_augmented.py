@@ -42,8 +42,12 @@ def looking(eye, at):
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """{option: path} of a room with a crate, whose photograph is the project's own rendering."""
-    folder = tmp_path_factory.mktemp("room")
-    camera = cameras.Camera(*CAMERA, looking([0.4, 0.4, 1.6], [3.0, 2.2, 0.6]))
+    return photographed(tmp_path_factory.mktemp("room"), [3.0, 2.2, 0.6])
+
+
+def photographed(folder, at):
+    """{option: path} of the room, made in a folder, as it is seen from a corner."""
+    camera = cameras.Camera(*CAMERA, looking([0.4, 0.4, 1.6], at))
     objects = rooms.room() | rooms.LAMP | rooms.solid("crate", *CRATE)
     studio = small_scenes.Studio(folder, objects, camera, patches=120, rays=256)
     artefact.write_npz(folder / "coverage.npz", **studio.coverage)
@@ -99,6 +103,40 @@ def test_a_lamp_switched_off_is_night(scene):
     off = made(scene, lamps={"lamp": [0, 0, 0]})
     rest = np.abs(off.linear - (photograph(scene) / 255) ** GAMMA + rendered(scene))
     assert np.median(rest) < 0.003  # what the rendering did not explain is all that is left
+
+
+def test_of_a_lamp_switched_off_nothing_is_left(tmp_path):
+    """Its rim in the photograph is brighter than its share of the pixel tells: at night that is no light."""
+    scene = photographed(tmp_path, [2, 1.5, 2.4])
+    read = subjects.read(**scene)
+    shows = read.group == read.groups.index("lamp")
+    assert shows.sum() > 50
+    rim = cv2.dilate(shows.astype(np.uint8), np.ones((3, 3))) > 0
+    photo = photograph(scene)
+    photo[rim] = 255
+    image.write_png8(tmp_path / "left.png", photo.astype(np.uint8))
+    assert made(scene, LOW, lamps={"lamp": [0, 0, 0]}).linear[rim].max() < 1e-6
+    # where it hung, the wall behind it is dark too
+    assert made(scene, LOW, remove=["lamp"]).linear[rim].max() < 1e-6
+
+
+def test_nothing_of_a_mirrors_picture_stays_on_what_takes_its_place(scene, tmp_path):
+    """A smear in the photograph of a mirror was seen in it: painted over, the wall has none. On a wall it stays."""
+    found = json.loads(Path(scene["materials"]).read_text())
+    found["groups"]["north"] |= {"kind": "mirror", "rho_d": [0] * 3, "rho_s": [1] * 3}
+    artefact.write_json(tmp_path / "materials.json", found)
+    mirror = scene | {"materials": str(tmp_path / "materials.json")}
+    (y, *_), (x, *_) = np.nonzero(subjects.read(**scene).group == subjects.read(**scene).groups.index("north"))
+    own = photograph(scene)
+    pictures = []
+    for value in (40, 200):
+        own[y + 3 : y + 6, x + 3 : x + 6] = value
+        image.write_png8(tmp_path / "left.png", own.astype(np.uint8))
+        smeared = {"photograph": str(tmp_path / "left.png")}
+        change = {"change": {"north": GREY}}
+        pictures.append([made(files | smeared, LOW, **change).values for files in (mirror, scene)])
+    (dark, wall), (bright, wall_too) = pictures
+    assert (dark == bright).all() and (wall != wall_too).any()
 
 
 def test_a_removed_object_put_back_is_the_photograph(scene):
@@ -356,6 +394,21 @@ def test_any_change_gives_a_whole_picture(scene, entry):
     one = made(scene, LOW, **entry)
     assert np.isfinite(one.linear).all() and (one.linear >= 0).all()
     assert one.values.shape == (84, 112, 3) and one.facts["changed_pixels"] > 100
+
+
+@pytest.mark.parametrize(
+    "entry, line",
+    [
+        ({"add": {"sphere": 0.3, "at": [0.4, 0.4, 1.6], "material": GREY}}, "stands inside the object 'added 0'"),
+        ({"move": {"crate": [-2.1, -1.5, 1.3]}}, "stands inside the object 'crate moved'"),
+        ({"add": {"sphere": 100, "material": GREY}}, "m2 is too large for a scene of"),
+        ({"change": {"crate": {"rho_s": [0.1] * 3}}}, "change.crate.rho_s: has no meaning for diffuse"),
+        ({"change": {"crate": {"alpha": [0.1, 0.1]}}}, "change.crate.alpha: has no meaning for diffuse"),
+    ],
+)
+def test_what_would_be_no_picture_is_refused(scene, entry, line):
+    with pytest.raises(BadInput, match=line):
+        augmented.read({"name": "x"} | entry, scene)
 
 
 def test_a_file_of_many_mirrors_is_curved_and_one_of_few_is_not(scene, tmp_path):

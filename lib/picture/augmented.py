@@ -23,6 +23,7 @@ from lib.given.cameras import Camera
 from lib.given.lenses import Lens
 from lib.given.view import View
 from lib.light import factors_file
+from lib.light.surface import start_inside
 from lib.picture import changes, differential, grain, rendering
 from lib.picture import subject as subjects
 from lib.picture.lighting import Lighting, lighting
@@ -74,7 +75,29 @@ def read(entry, files, *, n_rays=512) -> Scene:
     if change.model is not model:
         view, pieces = seen(change.model, view.camera, photograph=view.photograph)
     changed = changes.subject(change, recovered, stored, view, pieces, files["materials"], n_rays=n_rays)
+    if "camera" in entry:
+        pinhole, _ = _pinhole(lenses.read(entry["camera"]))
+        _in_the_open(changed, model.n_facets, pinhole, f"{entry['camera']}: the camera")
+    elif "cameras" not in entry and changed.surface is not recovered.surface:
+        _in_the_open(changed, model.n_facets, view.camera, "entry: the photograph's camera")
     return Scene(entry, recovered, changed)
+
+
+def _in_the_open(subject: Subject, n_before, camera: Camera, what):
+    """BadInput: a camera that stands inside a solid which was added or moved, where no light is.
+
+    n_before : facets of the model as it was. A room without its lamp is closed too, and dark; that is its picture.
+    """
+    surface = subject.surface
+    x, y = np.meshgrid(np.linspace(0, camera.width - 1, 5), np.linspace(0, camera.height - 1, 5))
+    v = camera.rays(np.stack([x.ravel(), y.ravel()], axis=1))
+    rays = np.hstack([np.broadcast_to(surface.local.points(camera.centre), v.shape), v]).astype(np.float32)
+    triangle = surface.caster.closest(rays)[0]
+    met = triangle >= 0
+    new = met & (surface.facet[triangle] >= n_before) & (surface.group[surface.facet[triangle]] >= 0)
+    if new.any() and start_inside(surface, rays[met], triangle[met]).all():
+        name = subject.view.model.objects[surface.object[surface.facet[triangle[new][0]]]]
+        raise BadInput(f"{what} stands inside the object {name!r}, a solid: no light is there")
 
 
 def seen(model, camera: Camera, photograph=None) -> tuple:

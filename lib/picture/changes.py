@@ -18,7 +18,7 @@ import numpy as np
 from lib.core.stage import BadInput
 from lib.given import image
 from lib.given import model as models
-from lib.given.kinds import MIRRORS
+from lib.given.kinds import LOBES, MIRRORS
 from lib.given.materials import Group, Lamp, Materials
 from lib.given.model import Model, changes
 from lib.given.model.parts import joined
@@ -29,6 +29,8 @@ from lib.picture import albedo_maps, appearance
 from lib.picture.curved import Curved, Ellipsoid
 from lib.picture.subject import Subject
 
+MEANING = {"rho_s": (*LOBES, *MIRRORS), "alpha": LOBES, "tangent": LOBES}  # fields, and the kinds that have them
+LARGEST = 10  # times the surface of a scene that an added object may have
 PLANE = 12  # facets of a mirror from which on it counts as curved
 
 
@@ -121,6 +123,9 @@ def _merged(where, before: Group, material) -> Group:
         group = replace(group, rho_d=(0.0, 0.0, 0.0))
     if "texture" in material:
         group = replace(group, texture=None)
+    for key, kinds in MEANING.items():
+        if key in material and group.kind not in kinds:
+            raise BadInput(f"entry: {where}.{key}: has no meaning for {group.kind}, which the group is")
     if group.rho_d is not None and group.rho_s is not None:
         total = np.add(group.rho_d, group.rho_s)
         if total.max() > 1 + 1e-9:
@@ -165,6 +170,9 @@ def _added(made: Change, number, thing):
         raise BadInput(f"entry: add: material: group {missing[0]!r} of {thing['file']} is missing")
     names = [f"{one} {group}" for group in bare.groups]
     put = changes.placed(changes.renamed(bare, names), turn, at, scale)
+    area, room = put.facet_area().sum(), made.model.facet_area().sum()
+    if area > LARGEST * room:  # its patches and texels are as fine as the scene's
+        raise BadInput(f"entry: add: an object of {area:.3g} m2 is too large for a scene of {room:.3g} m2")
     made = replace(made, model=joined(made.model, one, put), ellipsoids=ellipsoids)
     for name, value in zip(names, of.values(), strict=True):
         if "emittance" in value:

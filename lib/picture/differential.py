@@ -50,7 +50,7 @@ def renderings(recovered: Subject, changed: Subject, quality: Quality, *, timing
     subjects = (recovered, changed)
     camera = recovered.view.camera
     same = _same(recovered.facet, changed.facet)
-    new = new_share(recovered, changed)
+    new = np.where(_other_lamps(recovered, changed), 1, new_share(recovered, changed))
     # what is seen only before counts in pixels that still show some of it
     there = (np.where(same | (new < 1), recovered.facet, -1), changed.facet)
     subjects = [replace(s, view=replace(s.view, facet=facet)) for s, facet in zip(subjects, there, strict=True)]
@@ -179,11 +179,19 @@ def _altered(recovered, changed):
 def _differs(recovered, changed):
     """(F,) bool: facets of the model as it was that reflect otherwise than before."""
     a, b = recovered.appearance, changed.appearance
+    groups = recovered.surface.group[: recovered.view.model.n_facets]
+    return (a.rho[groups] != b.rho[groups]).any(axis=1) | _looks_other(recovered, changed)
+
+
+def _looks_other(recovered, changed):
+    """(F,) bool: facets of the model as it was that have another finish or texture than before.
+
+    What the photograph has beyond the rendering of a mirror or of a texture says nothing of what took its place.
+    """
+    a, b = recovered.appearance, changed.appearance
     shown = np.arange(recovered.view.model.n_facets)
-    groups = recovered.surface.group[shown]
-    differs = (a.rho[groups] != b.rho[groups]).any(axis=1)
     kinds = [_finishes(look) for look in (a, b)]
-    differs |= np.array([kinds[0].get(g) != kinds[1].get(g) for g in groups], bool)
+    differs = np.array([kinds[0].get(g) != kinds[1].get(g) for g in recovered.surface.group[shown]], bool)
     differs |= np.array([a.maps.get(f) is not b.maps.get(f) for f in shown], bool)
     return differs if changed.curved is None else differs | changed.curved.has(shown)
 
@@ -270,10 +278,38 @@ def _only(pieces, which):
 
 
 def new_share(recovered: Subject, changed: Subject):
-    """(H, W) share of each pixel that shows another facet than before."""
+    """(H, W) share of each pixel that shows another facet than before, or one of another finish or texture."""
     before, after = (shares(s) for s in (recovered, changed))
-    new = 1 - np.asarray(before.minimum(after).sum(axis=1)).ravel()
+    both = before.minimum(after)
+    other = np.flatnonzero(_looks_other(recovered, changed))
+    new = 1 - np.asarray(both.sum(axis=1)).ravel() + np.asarray(both[:, other].sum(axis=1)).ravel()
     return np.where(new > 1e-9, np.minimum(new, 1), 0).reshape(recovered.facet.shape)
+
+
+def _other_lamps(recovered: Subject, changed: Subject):
+    """(H, W) bool: pixels that show, or touch some that show, a lamp which emits otherwise now, or is gone.
+
+    How much of the lamp they show is known to a 64th, and it is brighter than all else: what the photograph has beyond
+    the rendering is that error times the emittance, no light of the scene.
+    """
+    from scipy.ndimage import binary_dilation
+
+    before, after = (_emitted(s, len(recovered.surface.group)) for s in (recovered, changed))
+    other = np.flatnonzero((before != after).any(axis=1))
+    if not len(other):
+        return np.zeros(recovered.facet.shape, bool)
+    some = (shares(recovered)[:, other].sum(axis=1) > 0).reshape(recovered.facet.shape)
+    return binary_dilation(some, np.ones((3, 3)))
+
+
+def _emitted(subject: Subject, n):
+    """(n, C) emittances of the first n facets, 0 of those that are not there."""
+    surface, out = subject.surface, np.zeros((n, subject.channels))
+    there = np.isin(np.arange(n), surface.facet)
+    for k, name in enumerate(subject.factors.lamps):
+        if name in surface.groups:
+            out[there & (surface.group[:n] == surface.groups.index(name))] = subject.appearance.E[k]
+    return out
 
 
 def shares(subject: Subject):
