@@ -31,8 +31,6 @@ from lib.vision.facets.sides import MOST_SLOPE, lines
 
 METHODS = ("least-squares", "overlap")
 LEAST_OVERLAP = 0.6
-PAINTED = 0.7  # of the noise, left in its plainest parts: textured nearly everywhere, so most borders are of paint
-WHOLE = 0.97  # of the overlap: nothing hides the region, so its sides are its own
 LEAST_ROWS = 6  # ends of rows, for a plane to start from
 LEAST_SIDES = 0.1  # share of its straight sides that must agree with a plane, less those behind it
 THIN = 5.0  # px: of thinner regions both borders lie in one blur
@@ -178,7 +176,6 @@ class _Sight:
     regions: tuple[matching.RegionArrays, matching.RegionArrays]
     edges: tuple[Borders, Borders]
     noise_left: float  # standard deviation of the photograph's noise
-    painted: bool  # the left photograph is textured nearly everywhere
 
 
 def _look(pair, labels, values, left, right):
@@ -188,8 +185,7 @@ def _look(pair, labels, values, left, right):
         borders(pair, labels[0], values[0], left, "left", sigma[0]),
         borders(pair, labels[1], values[1], right, "right", sigma[1]),
     )
-    painted = noise_without_texture(values[0], labels[0], sigma[0]) < PAINTED * sigma[0]
-    return _Sight(pair, views, (matching.regions(views[0]), matching.regions(views[1])), edges, sigma[0], painted)
+    return _Sight(pair, views, (matching.regions(views[0]), matching.regions(views[1])), edges, sigma[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,8 +372,6 @@ def _facet(sight, l, r, x, sigma_side):
     covered = matching.mutual_overlap(sight.regions, sight.views, l - 1, r - 1, plane, pair.f_px)
     if covered < LEAST_OVERLAP:
         return "overlap: left does not cover right"
-    if covered < WHOLE and not sight.painted and uncertainty.rests_on_one_line(x):
-        return "condition: held by one side alone, and partly hidden"
     by = "contour" if x.texture is None else "both" if x.points else "texture"
     return Facet(l, r, m, covariance, polygon, covered, x.rms_px, by)
 

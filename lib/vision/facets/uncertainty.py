@@ -16,8 +16,7 @@ MISFIT = 1.2  # times the ordinary rms of the pair's borders: what lies farther 
 CHI2_95 = 7.81  # of 3 degrees of freedom
 SIDE_SIGMAS = np.array([0, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])  # px, tried
 LINE = 1.5  # px, standard deviation of border points across the line that they lie in
-RESTS = 5.0  # times less certain without the sides of holes, or of one line: the plane rests on them
-SAME_LINE = 2.0  # px: sides nearer to a line, all along, lie on it
+RESTS = 5.0  # times less certain without the sides of holes: the plane rests on them
 ESSENTIAL = 0.9  # share of what is known in some direction that is one side's, at most: the plane rests on it
 
 
@@ -147,41 +146,12 @@ def rests_on_holes(x: Measured, hole) -> bool:
     hole : (P,) bool of the sides, see contours.in_holes
     """
     of_hole = hole[x.rows[:, PART].astype(int)]
-    return bool(of_hole.any() and _rests_on(x, of_hole))
-
-
-def rests_on_one_line(x: Measured) -> bool:
-    """The plane hangs on the sides of one line in the picture: if that is not the facet's own, the plane is anything.
-
-    Two lines give a plane whatever they are: upright edges of two things before a wall are coplanar as well. Only a
-    third one, or texture, confirms them.
-    """
-    return any(_rests_on(x, line) for line in _lines(x))
-
-
-def _rests_on(x, some):
-    """Whether the plane is RESTS times less certain without some of the border points, (n,) bool."""
+    if not of_hole.any():
+        return False
     J, w = x.rows[:, :3] / [x.size, x.size, 1], x.rows[:, WEIGHT]
     least = 1e-9 * np.eye(3) + (x.texture[1] if x.texture is not None else 0)
-    unsure = lambda of: np.linalg.eigvalsh((J[of] * w[of, None]).T @ J[of] + least)[0] ** -0.5
-    return bool(unsure(~some) > RESTS * unsure(np.ones(len(w), bool)))
-
-
-def _lines(x):
-    """[(n,) bool] the border points of each line: sides on one line are one, those of a wall beside a door."""
-    part, uv = x.rows[:, PART].astype(int), x.rows[:, [U, V]]
-    number, lines = np.bincount(part), []
-    for p in np.argsort(-number, kind="stable")[: np.count_nonzero(number)]:
-        mine = part == p
-        for points, middle, across in lines:
-            if np.abs((uv[mine] - middle) @ across).max() < SAME_LINE:
-                points |= mine
-                break
-        else:
-            middle = uv[mine].mean(axis=0)
-            spread = (uv[mine] - middle).T @ (uv[mine] - middle)
-            lines.append((mine, middle, np.linalg.eigh(spread)[1][:, 0]))
-    return [points for points, _, _ in lines]
+    unsure = lambda some: np.linalg.eigvalsh((J[some] * w[some, None]).T @ J[some] + least)[0] ** -0.5
+    return bool(unsure(~of_hole) > RESTS * unsure(np.ones(len(w), bool)))
 
 
 def _of_each_side(x: Measured, sigma_side: float, step):
