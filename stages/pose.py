@@ -17,6 +17,7 @@ writes  posed           the camera in the model's frame
                         status: unique, or ambiguous with the other poses
 """
 
+import math
 import sys
 from pathlib import Path
 
@@ -66,7 +67,7 @@ def from_picks(opt, report, width, height):
             raise stage.BadInput(f"{opt.points or opt.lines}: {bad}") from None
     names = [*told.names, *told.line_names]
     residuals = [
-        {"name": name, "px": float(px), "outlier": bool(out)}
+        {"name": name, "px": float(px) if math.isfinite(px) else None, "outlier": bool(out)}
         for name, px, out in zip(names, found.residual_px, found.outlier, strict=True)
     ]
     for text in picked.warnings(found, names, focal_known=bool(opt.pinhole)):

@@ -128,6 +128,17 @@ def test_places_that_tell_no_pose_are_refused(change, said):
         picked.solve(picks, camera, focal_known=True)
 
 
+def test_a_pick_behind_the_camera_is_named():
+    """A vertex of the wall at the photographer's back, taken for the one before him."""
+    rng = np.random.default_rng(12)
+    camera, q, p, ends, p_ends = shot(rng, 12)
+    p[4] = 2 * camera.centre - p[4]
+    found = picked.solve(picked_from(rng, (camera, q, p, ends, p_ends), 0.5), unknown(camera), focal_known=False)
+    assert np.flatnonzero(found.outlier).tolist() == [4]
+    (said,) = picked.warnings(found, [f"p{k}" for k in range(12)], focal_known=False)
+    assert said == "p4: is behind the camera of the others: left out"
+
+
 @pytest.mark.parametrize(
     "text, said",
     [

@@ -85,25 +85,33 @@ def intrinsics(focal_px, width, height):
     return np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])
 
 
-def look_at(eye, at, hfov_deg, width, height, up=(0, 0, 1)) -> Camera:
-    """The camera at `eye` that looks to `at`, with `up` upwards in the picture; fx = width / (2 tan(hfov / 2)).
+def towards(eye, at, up=(0, 0, 1)):
+    """T_cam_world (4, 4) of a camera at `eye` that looks to `at`, (3,) m each, with `up` upwards in the picture.
 
-    eye, at : (3,) m, world;  ValueError where `up` lies along the view
+    ValueError where `up` lies along the view, or there is none.
+    """
+    eye, up = np.asarray(eye, float), np.asarray(up, float)
+    forward = np.asarray(at, float) - eye
+    right = np.cross(forward, up)
+    if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
+        raise ValueError(f"up {up.tolist()} lies along the view from {eye.tolist()} to {np.asarray(at).tolist()}")
+    right, forward = right / np.linalg.norm(right), forward / np.linalg.norm(forward)
+    T = np.eye(4)
+    T[:3, :3] = right, np.cross(forward, right), forward
+    T[:3, 3] = -T[:3, :3] @ eye
+    return T
+
+
+def look_at(eye, at, hfov_deg, width, height, up=(0, 0, 1)) -> Camera:
+    """The camera `towards` a place, square pixels, fx = width / (2 tan(hfov / 2)), the principal point in the middle.
 
     >>> look_at([0, -2, 1], [0, 0, 1], 90, 101, 81).project([[0.0, 0, 1], [1, 0, 1], [0, 0, 2]])
     array([[50.  , 40.  ],
            [75.25, 40.  ],
            [50.  , 14.75]])
     """
-    eye, z = np.asarray(eye, float), np.subtract(at, eye).astype(float)
-    x = np.cross(z, np.asarray(up, float))
-    if not np.linalg.norm(x) > 1e-9 * np.linalg.norm(z) * np.linalg.norm(up):
-        raise ValueError(f"up {list(up)} lies along the view from {list(eye)} to {list(at)}")
-    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-    T = np.eye(4)
-    T[:3, :3] = x, np.cross(z, x), z
-    T[:3, 3] = -T[:3, :3] @ eye
-    return Camera(intrinsics(width / (2 * np.tan(np.radians(hfov_deg) / 2)), width, height), width, height, T)
+    K = intrinsics(width / (2 * np.tan(np.radians(hfov_deg) / 2)), width, height)
+    return Camera(K, width, height, towards(eye, at, up))
 
 
 def matrix_from_rt(rt):

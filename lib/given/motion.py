@@ -10,10 +10,10 @@ import numpy as np
 
 from lib.core.stage import BadInput
 from lib.given import lenses
+from lib.given.cameras import towards
 from lib.given.lenses import Lens
 
 HEADER = ["eye_x", "eye_y", "eye_z", "at_x", "at_y", "at_z"]
-UP = np.array([0.0, 0.0, 1.0])
 
 
 def read_csv(path) -> np.ndarray:
@@ -52,15 +52,12 @@ def _numbers(path, k, row):
 
 def _looking(where, eye, at):
     """(4, 4) world to camera."""
-    forward = at - eye
-    right = np.cross(forward, UP)
-    if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward):
-        raise BadInput(f"{where}: at: {at.tolist()} is not beside the upright line through the eye {eye.tolist()}")
-    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = right, np.cross(forward, right), forward
-    T[:3, 3] = -T[:3, :3] @ eye
-    return T
+    try:
+        return towards(eye, at)
+    except ValueError:
+        raise BadInput(
+            f"{where}: at: {at.tolist()} is not beside the upright line through the eye {eye.tolist()}"
+        ) from None
 
 
 def read_cameras(paths) -> list[Lens]:

@@ -17,7 +17,7 @@ from math import lgamma
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given.cameras import Camera, matrix_from_rt
+from lib.given.cameras import Camera, matrix_from_rt, towards
 from lib.given.picks import Picks
 
 STEP = 1e-6  # of a parameter, for derivatives
@@ -43,7 +43,7 @@ class Found:
 
     camera : posed;  covariance : (6, 6) of (omega, tau), T = exp(omega, tau) T_hat along the camera's axes, rad and m
     focal_sigma_px : None where the focal length was known;  factor : of the picks' sigmas, that their residuals show
-    residual_px : (n + m,) of points, then of lines (the farther end);  outlier : (n + m,) bool
+    residual_px : (n + m,) of points (inf behind the camera), then of lines (the farther end);  outlier : (n + m,) bool
     redundancy : equations beyond unknowns, of what is no outlier;  rivals : poses (4, 4) that explain as much
     """
 
@@ -70,9 +70,13 @@ def warnings(found: Found, names, focal_known) -> list[str]:
     elif not focal_known and (~found.outlier).sum() <= FEW:
         said.append(f"no check is possible by {(~found.outlier).sum()} places: pick more, or give left.cameramodel")
     for k in np.flatnonzero(found.outlier):
-        said.append(
-            f"{names[k]}: is {found.residual_px[k]:.0f} px from where the camera of the others sees it: left out"
+        px = found.residual_px[k]
+        away = (
+            f"{px:.0f} px from where the camera of the others sees it"
+            if np.isfinite(px)
+            else "behind the camera of the others"
         )
+        said.append(f"{names[k]}: is {away}: left out")
     if found.factor > COARSE:
         said.append(f"the places are {found.factor:.1f} times less exact than their sigma_px says")
     if found.rivals:
@@ -86,9 +90,6 @@ def solve(picks: Picks, camera: Camera, focal_known: bool) -> Found:
     n = len(picks.p) + len(picks.p_ends)
     if n < LEAST:
         raise BadInput(f"{n} picked place{'s' * (n != 1)}: at least {LEAST} are needed")
-    equations, unknowns = 2 * (len(picks.p) + len(picks.p_ends)), 6 if focal_known else 7
-    if equations < unknowns:
-        raise BadInput(f"{equations // 2} picked places tell {equations} numbers, and {unknowns} are unknown")
     _check_spread(picks)
     fits = [_Fit(picks, camera, focal_known, *start).climbed() for start in _starts(picks, camera, focal_known)]
     if not any(fit.agrees for fit in fits):
@@ -146,16 +147,14 @@ def _of_planes(picks, camera, focal_known):
     """Both poses from which a plane looks alike (Collins and Bartoli, IPPE), where all points lie on one."""
     import cv2
 
-    p = picks.p - picks.p.mean(axis=0)
-    _, size, axes = np.linalg.svd(p)
+    middle = picks.p.mean(axis=0)
+    _, size, axes = np.linalg.svd(picks.p - middle)
     if size[2] > 1e-3 * size[0]:
         return []
-    flat, found = p @ axes.T, []
-    flat[:, 2] = 0
-    turn = np.eye(4)
+    turn, found = np.eye(4), []
     turn[:3, :3] = axes * np.sign(np.linalg.det(axes))  # a rotation: IPPE wants the plane z = 0
-    flat = p @ turn[:3, :3].T
-    turn[:3, 3] = -turn[:3, :3] @ picks.p.mean(axis=0)
+    turn[:3, 3] = -turn[:3, :3] @ middle
+    flat = (picks.p - middle) @ turn[:3, :3].T
     for share in (1.0,) if focal_known else _relative_focals(camera):
         K = camera.K * [[share, 1, 1], [1, share, 1], [1, 1, 1]]
         ok, rs, ts, _ = cv2.solvePnPGeneric(flat, picks.q, K, None, flags=cv2.SOLVEPNP_IPPE)
@@ -192,13 +191,8 @@ def _looks(picks, camera, focal_known, roll):
     for share in (1.0,) if focal_known else _relative_focals(camera)[1:2]:
         far = size * max(1.0, 2 * share * camera.K[0, 0] / min(camera.width, camera.height))
         for back in around:
-            right = np.cross([0, 0, 1], back) if abs(back[2]) < 0.99 else np.array([1.0, 0, 0])
-            right /= np.linalg.norm(right)
-            R = np.stack([right, np.cross(right, -back) * -1, -back])
-            R[1] = np.cross(R[2], R[0])
-            R[:2] = _quarters(roll) @ R[:2]
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = R, -R @ (middle + far * back)
+            T = towards(middle + far * back, middle, (0, 0, 1) if abs(back[2]) < 0.99 else (0, 1, 0))
+            T[:2] = _quarters(roll) @ T[:2]
             yield T, share
 
 
