@@ -213,3 +213,10 @@ def test_the_report_says_how_far_lobes_are_off(exported):
 def test_beckmann_s_weight_is_ward_s_loss_of_light(alpha):
     """Straight on Beckmann's lobe reflects all; Ward's, its albedo. At other angles the share is nearly the same."""
     assert microfacet.weight(alpha) == pytest.approx(ward.albedo(ward.BOUNDED, *alpha, 0.0), abs=0.012)
+
+
+def test_what_does_not_fit_is_said_of_all_that_is_made_from_it():
+    why = [materials.Why("object_missing", None, "something is not in the model", None)]
+    (said,) = materials.Materials(status="does not fit", groups={}, why=why).cautions
+    assert said.startswith("the scene does not fit") and said.endswith("something is not in the model")
+    assert materials.Materials(status="converged", groups={}).cautions == []

@@ -129,6 +129,7 @@ def read(*, model, camera, photograph, materials, up="z") -> Scene:
         raise BadInput(f"--up: {up!r} is none of {', '.join(AXES)}")
     view = View.read(camera=camera, model=model, photograph=photograph)
     looks, maps, found, warnings = _looks(materials, view)
+    warnings += found.cautions
     surface = surfaces.surface(view.model, [name for name, look in looks.items() if look.emittance is not None])
     pieces = _pieces(view.model, surface, looks, maps)
     glow = found.outside

@@ -286,6 +286,14 @@ class Materials:
     why: list = list_of(Why)
 
     @property
+    def cautions(self) -> list[str]:
+        """What is to be said of all that is made from these materials, lines."""
+        if self.status != "does not fit":
+            return []
+        why = self.why[0].text if self.why and self.why[0].text else "photograph and given facts disagree"
+        return [f"the scene does not fit its photograph, and what is made from it is off as well: {why}"]
+
+    @property
     def lobes(self):
         """{lamp: (4,) unit aim and exponent} of those that are not lambertian."""
         return {name: lamp.lobe.array for name, lamp in self.lamps.items() if lamp.lobe is not None}

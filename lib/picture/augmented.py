@@ -37,15 +37,12 @@ PER_SECOND = 24  # frames of a preview
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The recovered scene, and the changed one as its own camera sees it."""
+    """The recovered scene, and the changed one as its own camera sees it. warnings : lines"""
 
     entry: dict
     recovered: Subject
     changed: Subject
-
-    @property
-    def warnings(self):
-        return self.recovered.warnings
+    warnings: list
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +77,7 @@ def read(entry, files, *, n_rays=512) -> Scene:
         _in_the_open(changed, model.n_facets, pinhole, f"{entry['camera']}: the camera")
     elif "cameras" not in entry and changed.surface is not recovered.surface:
         _in_the_open(changed, model.n_facets, view.camera, "entry: the photograph's camera")
-    return Scene(entry, recovered, changed)
+    return Scene(entry, recovered, changed, [*recovered.warnings, *found.cautions])
 
 
 def _in_the_open(subject: Subject, n_before, camera: Camera, what):
