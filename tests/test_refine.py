@@ -3,12 +3,15 @@
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+import scipy.sparse
 
 from lib.analysis import places
+from lib.analysis.audit import looking_at
 from lib.given import cameras
 from lib.given import model as models
 from lib.given.cameras import matrix_from_rt
@@ -196,3 +199,11 @@ def test_what_the_model_has_not_is_named(tmp_path, cause):
     _, found, _ = deviated(tmp_path, lambda f: obj(f, without if cause == "object_missing" else other), "office")
     assert found["status"] == "does not fit" and cause in [why["cause"] for why in found["why"]]
     assert not any(group["identified"] for group in found["groups"].values())
+
+
+def test_what_looks_at_a_lamp_from_near_by_is_known():
+    """room-801: a panel 5 cm below the ceiling, 12 cm aside. The ceiling behind its old place stays as dark there."""
+    factor = np.array([[0.0, 0.9, 0.0], [0.3, 0.02, 0.5], [0.0, 0.0, 0.06]])
+    rows = SimpleNamespace(matrix=lambda: scipy.sparse.csr_array(factor))
+    assert looking_at(rows, 1, np.array([0, 1, 2])).tolist() == [True, False, False]
+    assert looking_at(rows, 2, np.array([0, 1, 2])).tolist() == [False, True, True]

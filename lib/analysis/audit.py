@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from lib.analysis import misfits
 from lib.analysis.explain import Explained
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import Problem, Result
 from lib.analysis.receivers import Receivers, unplaced
+from lib.light.form_factors import FormFactorRows
 
+MUCH = 0.05  # of the light that comes to a tile, by form factors
 LEFT = 0.25  # of the energy of all groups that differed which may be left where a lamp is what was wrong
 
 
@@ -58,22 +62,30 @@ class Audit:
             self.asked[question] = ask()
         return self.asked[question]
 
-    def misfits(self, problem: Problem, result: Result, direct=None) -> dict:
-        """{group: Misfit} of diffuse surfaces. direct : (T, L) of the audit's tiles, in place of their own"""
+    def misfits(self, problem: Problem, result: Result, direct=None, among=None) -> dict:
+        """{group: Misfit} of diffuse surfaces.
+
+        direct : (T, L) of the audit's tiles, in place of their own;  among : (T,) bool, those that count, or None
+        """
         tiles = self.tiles if direct is None else replace(self.tiles, direct=direct)
-        found, _ = misfits.audit(self.subcell, problem, result, tiles)
+        found, _ = misfits.audit(self.subcell, problem, result, tiles, among=among)
         return found
 
     def flagged(self, problem: Problem, judged) -> list:
         """The groups that a diffuse surface does not explain. judged : of `misfits`"""
         return misfits.flagged(problem, judged, self.given, self.threshold)
 
-    def energy(self, problem: Problem, result: Result, direct=None) -> Energy:
-        """direct : of `misfits`"""
-        judged = self.misfits(problem, result, direct)
+    def energy(self, problem: Problem, result: Result, direct=None, among=None) -> Energy:
+        """direct, among : of `misfits`"""
+        judged = self.misfits(problem, result, direct, among)
         flagged = sum(judged[g].energy for g in self.flagged(problem, judged) if g in judged)
         return Energy(flagged, sum(m.energy for m in judged.values() if m.judged))
 
     def doubt(self, problem: Problem, result: Result, judged, places=None):
         """Widen sigma of groups that differ all the same, and say so."""
         misfits.doubt(problem, result, judged, self.threshold, self.given, places)
+
+
+def looking_at(rows: FormFactorRows, group, patch_group) -> np.ndarray:
+    """(T,) bool: much of what these tiles look at is the group (number). patch_group : (N,), of FormFactors"""
+    return rows.matrix()[:, patch_group == group].sum(axis=1) > MUCH

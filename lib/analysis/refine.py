@@ -14,7 +14,7 @@ import numpy as np
 
 from lib.analysis import lamp_place, vignetting
 from lib.analysis.agreement import fits
-from lib.analysis.audit import Audit
+from lib.analysis.audit import Audit, looking_at
 from lib.analysis.candidates import Candidate, enough
 from lib.analysis.direct_light import DirectLight
 from lib.analysis.explain import Explained
@@ -137,8 +137,11 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
     with_causes = lambda c: replace(explained, problem=c.problem, result=c.result, values=c.taken)
     before, after = audit(with_causes(base)), audit(with_causes(best))
     light = DirectLight(lamps.light.view, lamps.light.factors, after.gathered).of(lamps.moved(lamp, offset), lamp)[1]
-    energy = after.energy(best.problem, result, light)
-    if not before.energy(base.problem, base.result).is_explained_by(energy):
+    # what stands beside it looks at its old place still: only its own light is that of the new one
+    group, patch_group = base.problem.groups.index(lamp), base.problem.patch_group
+    apart = [~looking_at(audited.tiles.rows, group, patch_group) for audited in (before, after)]
+    energy = after.energy(best.problem, result, light, apart[1])
+    if not before.energy(base.problem, base.result, among=apart[0]).is_explained_by(energy):
         return None
     own = best.problem.cause.of(lamp_place.NAME)
     return lamp, offset, axes.T @ result.cov_cause[np.ix_(own, own)] @ axes, nats
