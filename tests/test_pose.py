@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,17 @@ def test_a_plane_tells_the_pose_and_what_it_leaves_open():
         seen = shot(rng, 8, plane=True)
         found = picked.solve(picked_from(rng, seen, 0.5), seen[0], focal_known=True)
         assert off(found, seen[0])[1] < 22 or found.rivals
+
+
+def test_corners_of_a_chessboard_from_a_file(tmp_path):
+    """All on one plane, read from pose.csv: columns of its table ended in a traceback of OpenCV."""
+    camera, *_ = shot(np.random.default_rng(7), 8)
+    p = np.array([(0.1 * i, 0.1 * j, 0) for j in range(6) for i in range(9)]) - [0.4, 0.25, 0]
+    board = replace(camera, T_cam_world=cameras.towards(np.array([0.5, -0.6, 1.0]), np.zeros(3), (0, 1, 0)))
+    rows = [",".join(map(str, (*q, *at))) for q, at in zip(board.project(p), p, strict=True)]
+    (tmp_path / "pose.csv").write_text("\n".join(["x_px,y_px,X,Y,Z", *rows]) + "\n")
+    found = picked.solve(picks_.read(tmp_path / "pose.csv"), board, focal_known=True)
+    assert np.abs(found.camera.T_cam_world - board.T_cam_world).max() < 1e-6
 
 
 def test_noise_that_was_not_told_is_found():

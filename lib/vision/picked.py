@@ -155,9 +155,10 @@ def _of_planes(picks, camera, focal_known):
     turn[:3, :3] = axes * np.sign(np.linalg.det(axes))  # a rotation: IPPE wants the plane z = 0
     turn[:3, 3] = -turn[:3, :3] @ middle
     flat = (picks.p - middle) @ turn[:3, :3].T
+    q = np.ascontiguousarray(picks.q)  # OpenCV refuses columns of a larger table
     for share in (1.0,) if focal_known else _relative_focals(camera):
         K = camera.K * [[share, 1, 1], [1, share, 1], [1, 1, 1]]
-        ok, rs, ts, _ = cv2.solvePnPGeneric(flat, picks.q, K, None, flags=cv2.SOLVEPNP_IPPE)
+        ok, rs, ts, _ = cv2.solvePnPGeneric(flat, q, K, None, flags=cv2.SOLVEPNP_IPPE)
         for r, t in zip(rs, ts, strict=True) if ok else ():
             found.append((matrix_from_rt(np.concatenate([r.ravel(), t.ravel()])) @ turn, share))
     return found
