@@ -352,3 +352,12 @@ def test_gmres_columns_of_unlike_difficulty(kind):
     y, _, more = radiosity.gmres(lambda X: X - rho * (F @ X), b, tolerance=1e-5, x0=x)
     assert more == 0 and np.array_equal(x, y)
     assert radiosity.gmres(lambda X: X - rho * (F @ X), b, tolerance=1e-5, max_iterations=2)[2] == 2
+
+
+@pytest.mark.parametrize("power", [1e-30, 1e-23, 1e-10, 1e20])
+def test_gmres_of_any_power(power):
+    """Twice the light, twice the radiosity: squares of 1e-23 vanish in float32, and the answer was infinite."""
+    F, b = closed_box(6, seed=1).astype(np.float32), np.eye(6, 2, dtype=np.float32)
+    x, residual, _ = radiosity.gmres(lambda X: X - np.float32(0.5) * (F @ X), b, tolerance=1e-5)
+    y, *_ = radiosity.gmres(lambda X: X - np.float32(0.5) * (F @ X), b * np.float32(power), tolerance=1e-5)
+    assert residual <= 1e-5 and np.allclose(y / np.float32(power), x, rtol=1e-5)

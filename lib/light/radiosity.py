@@ -301,7 +301,10 @@ def gmres(apply, b, *, tolerance, max_iterations=200, x0=None, progress=None):
     A column that has reached its tolerance stands still while the others go on.
     """
     K = b.shape[1]
-    x = np.zeros_like(b) if x0 is None else x0.astype(b.dtype, copy=True)
+    # Squares of light of 1e-23 vanish in float32. Powers of two round nothing.
+    unit = np.ldexp(b.dtype.type(1), np.frexp(np.abs(b).max(axis=0, initial=0.0))[1])
+    b = b / unit
+    x = np.zeros_like(b) if x0 is None else (x0 / unit).astype(b.dtype)
     norm = np.maximum(np.linalg.norm(b, axis=0).astype(float), 1e-300)
     iterations = 0
     restart = min(30, max_iterations)
@@ -311,14 +314,14 @@ def gmres(apply, b, *, tolerance, max_iterations=200, x0=None, progress=None):
         beta = np.linalg.norm(r, axis=0).astype(float)
         residual = float((beta / norm).max(initial=0.0))
         if residual <= tolerance or iterations >= max_iterations or not residual < 0.9 * least:
-            return x, residual, iterations
+            return x * unit, residual, iterations
         least = residual if iterations else np.inf
         # Arnoldi with a QR of the small matrix by rotations, for all columns side by side
         V = np.empty((K, restart + 1, len(b)), b.dtype)
         R = np.zeros((K, restart, restart))
         turn = np.zeros((restart, 2, K))
         g = np.zeros((K, restart + 1))
-        V[:, 0] = (r / np.maximum(beta, 1e-300)).T
+        V[:, 0] = (r / np.where(beta > 0, beta, 1)).T
         g[:, 0] = beta
         size = np.zeros(K, int)  # steps that each column takes
         for j in range(restart):
@@ -331,7 +334,7 @@ def gmres(apply, b, *, tolerance, max_iterations=200, x0=None, progress=None):
             g[:, j], g[:, j + 1] = c * g[:, j], -s * g[:, j]
             if progress is not None:
                 so_far = partial(_combined, x, V, R, g, size)
-                progress(iterations, np.abs(g[:, j + 1]), so_far)
+                progress(iterations, np.abs(g[:, j + 1]) * unit, lambda so_far=so_far: so_far() * unit)
             if (np.abs(g[:, j + 1]) <= tolerance * norm).all() or iterations >= max_iterations:
                 break
         x = _combined(x, V, R, g, size)
