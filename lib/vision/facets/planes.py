@@ -160,9 +160,8 @@ def _with_uncertainty(measured, least):
     measured = [x.widened(factor) if isinstance(x, Measured) else x for x in measured]
     known = [x for x in measured if isinstance(x, Measured)]
     shape = lambda x: np.ones(len(x.C)) if least else uncertainty.asides(x)  # whole pixels are off either way
+    sigma = max(uncertainty.side_sigma(known, [shape(x) for x in known]), least)
     ordinary = uncertainty.ordinary_rms(known)
-    some = [x for x in known if not uncertainty.misfits(x, ordinary)] or known
-    sigma = max(uncertainty.side_sigma(some, [shape(x) for x in some]), least)
     own = lambda x: uncertainty.own_side_sigma(x, sigma * shape(x), ordinary)
     return [(x, own(x)) if isinstance(x, Measured) else x for x in measured], sigma
 

@@ -129,12 +129,7 @@ def own_side_sigma(x: Measured, sigma_side, ordinary: float):
     lie farther apart than the pair's do, beyond what chance makes of a dozen points, carries all of that distance as an
     error of each side.
     """
-    return np.hypot(sigma_side, x.rms_px) if misfits(x, ordinary) else sigma_side
-
-
-def misfits(x: Measured, ordinary: float) -> bool:
-    """Its borders lie farther apart than the pair's do."""
-    return x.points > 0 and x.rms_px > MISFIT * ordinary
+    return np.hypot(sigma_side, x.rms_px) if x.points and x.rms_px > MISFIT * ordinary else sigma_side
 
 
 def held_by_sides(x: Measured, sigma_side, covariance, step) -> np.ndarray:
