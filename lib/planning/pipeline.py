@@ -23,6 +23,7 @@ FACTS = (
     "explain",
     "refine",
     "movable",
+    "photos",
     "unit",
     "up",
     "entry",
