@@ -132,7 +132,39 @@ def planes(facets, T_true, model, facet_image, surfaces, scale=1.0):
     facets : [facets_file.Facet], in the left frame     T_true : (4, 4) world to left camera
     facet_image : (H, W) model facet + 1 per pixel  surfaces : (H, W) left labels     scale : metres per unit of facets
     """
-    deviations, area, wrong, loose = [], [], [], []
+    compared = facet_errors(facets, T_true, model, facet_image, surfaces, scale)
+    pure = [f.deviation for f in compared if f.pure]
+    if not pure:
+        return []
+    area, wrong, loose = (np.array(x) for x in zip(*((f.area, f.wrong, f.loose) for f in compared), strict=True))
+    known = [d.chi2 <= CHI2_3 for d in pure if d.chi2 is not None]
+    errors = [
+        ("facets.angle_deg", float(np.median([d.angle_deg for d in pure])), "deg"),
+        ("facets.distance_relative", float(np.median([d.distance for d in pure])), "1"),
+        ("facets.wrong", float(area[wrong & ~loose].sum() / max(area[~loose].sum(), 1)), "1"),
+        ("facets.loose", float(area[loose].sum() / area.sum()), "1"),
+        ("facets.compared", len(pure), "1"),
+    ]
+    return errors + ([("facets.within_95", float(np.mean(known)), "1")] if known else [])
+
+
+class FacetError(NamedTuple):
+    """Of one plane that lies on the model.
+
+    area : px of its surface;  wrong, loose : as the head of this module says
+    pure : of one facet of the model; a surface that is not is segmentation's error, not the plane's
+    """
+
+    area: float
+    wrong: bool
+    loose: bool
+    pure: bool
+    deviation: PlaneDeviation
+
+
+def facet_errors(facets, T_true, model, facet_image, surfaces, scale=1.0) -> list[FacetError]:
+    """Of each reconstructed plane whose surface shows the model; arguments as of `planes`."""
+    compared = []
     for f in facets:
         shown = facet_image[surfaces == f.left_label]
         count = np.bincount(shown) if shown.size else np.zeros(1, int)
@@ -142,24 +174,9 @@ def planes(facets, T_true, model, facet_image, surfaces, scale=1.0):
             continue
         deviation = _plane_deviation(f, _plane_seen(model, best - 1, T_true, scale))
         on_plane = sum(count[k] for k in np.flatnonzero(count) if _coplanar(model, k - 1, best - 1))
-        area.append(shown.size)
-        wrong.append(on_plane < SPANNING * count.sum() or deviation.is_wrong)
-        loose.append(bool(f.loose))
-        # a region that is not of one facet is segmentation's error, not the plane's
-        if count[best] >= 0.8 * shown.size:
-            deviations.append(deviation)
-    if not deviations:
-        return []
-    area, wrong, loose = np.array(area, float), np.array(wrong), np.array(loose)
-    known = [d.chi2 <= CHI2_3 for d in deviations if d.chi2 is not None]
-    errors = [
-        ("facets.angle_deg", float(np.median([d.angle_deg for d in deviations])), "deg"),
-        ("facets.distance_relative", float(np.median([d.distance for d in deviations])), "1"),
-        ("facets.wrong", float(area[wrong & ~loose].sum() / max(area[~loose].sum(), 1)), "1"),
-        ("facets.loose", float(area[loose].sum() / area.sum()), "1"),
-        ("facets.compared", len(deviations), "1"),
-    ]
-    return errors + ([("facets.within_95", float(np.mean(known)), "1")] if known else [])
+        wrong = bool(on_plane < SPANNING * count.sum() or deviation.is_wrong)
+        compared.append(FacetError(float(shown.size), wrong, bool(f.loose), count[best] >= 0.8 * shown.size, deviation))
+    return compared
 
 
 def _coplanar(model, a, b):
