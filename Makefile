@@ -5,6 +5,9 @@ SHELL := bash
 MAKEFLAGS += --no-builtin-rules --no-print-directory
 .SUFFIXES:
 .DELETE_ON_ERROR:
+# What no rule makes: a name with blanks, which Make takes for two, or one with other signs
+.DEFAULT:
+	@echo '$@: is not a scene or a target: a folder of $(DATA)/ whose name has letters, digits, _ and - alone' >&2; exit 2
 
 ifeq ($(filter grouped-target,$(.FEATURES)),)
 $(error GNU Make 4.3 or newer is needed, this is $(MAKE_VERSION))

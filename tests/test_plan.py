@@ -53,7 +53,7 @@ def test_what_waits_for_an_error_is_said_where_reflectances_are_fitted(toy):
     toy.scene("goals: [render.txt]\nlamps: {lamp: [1, 1, 1]}")
     assert explain(toy.plan()).splitlines()[-1] == line.format("fit and render make")
     assert "mirror" not in explain(toy.plan("see"))
-    toy.give(**{"materials.json": "found"})
+    toy.give(**{"materials.json": '"found"'})
     assert "mirror" not in explain(toy.plan())
 
 
@@ -83,9 +83,9 @@ def test_may_read_is_passed_when_there_and_pulls_nothing_in(toy):
 
 
 def test_a_goal_that_is_given_is_copied(toy):
-    toy.give(**{"materials.json": "found"})
+    toy.give(**{"materials.json": '"found"'})
     status, ran, said = toy.make("room")
-    assert (status, ran, toy.read("materials.json")) == (0, ["compare"], "found"), said
+    assert (status, ran, toy.read("materials.json")) == (0, ["compare"], '"found"'), said
     assert "copied: materials.json is given" in explain(toy.plan())
     assert toy.make("room")[1] == []
 
@@ -130,7 +130,7 @@ def test_truth_reaches_the_comparison_alone(toy):
     toy.make("room")
     assert "truth" not in toy.read("fit.report.json") and '"data/room/truth/"' in toy.read("compare.report.json")
     assert "--scene room" in " ".join(json.loads(toy.read("compare.report.json"))["argv"])
-    newer(toy.room / "truth/materials.json", "truer")
+    newer(toy.room / "truth/materials.json", '"truer"')
     assert toy.make("room")[1] == ["compare"]
 
 
@@ -298,9 +298,9 @@ def test_an_older_photograph_in_the_place_of_the_first_is_noticed(toy):
 def test_a_goal_given_and_taken_away_is_made_again(toy):
     toy.make("room")
     made = toy.read("materials.json")
-    toy.give(**{"materials.json": "given"})
+    toy.give(**{"materials.json": '"given"'})
     toy.make("room")
-    assert toy.read("materials.json") == "given"
+    assert toy.read("materials.json") == '"given"'
     (toy.room / "materials.json").unlink()
     assert "fit" in toy.make("room")[1]
     assert toy.read("materials.json") == made

@@ -13,7 +13,7 @@ from lib.core import artefact
 from lib.core.stage import BadInput
 from lib.planning import folder
 from lib.planning.command import command, imports
-from lib.planning.files import OBJECTS, here, object_files
+from lib.planning.files import OBJECTS, PICKED, here, object_files
 from lib.planning.walk import explain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,8 +58,10 @@ def inspect(plan) -> dict[Path, str]:
     """
     needed = {file for name in plan.planned for file in plan.stages[name].reads.values()}
     needed |= {OBJECTS for name in plan.planned if OBJECTS in plan.stages[name].may_read.values()}
+    needed |= {file for file in PICKED if any(file in plan.stages[n].may_read.values() for n in plan.planned)}
     files = {file for file in (*needed, plan.scene.views["<curve>"]) if plan.scene.given(file)}
     paths = [path for file in sorted(files) if (path := plan.scene.given(file)).is_file()]
+    paths += [path for path in folder.given_results(plan.scene) if path not in paths]
     names = {key: sorted(getattr(plan.scene, key)) for key in ("lamps", "reference", "surfaces")}
     if OBJECTS in files:
         paths += object_files(plan.scene.given(OBJECTS))

@@ -15,6 +15,7 @@ from pathlib import Path
 from lib.core import stage
 from lib.core.stage import BadInput
 from lib.planning import makefile, scene
+from lib.planning.near_misses import alike
 from lib.planning.pipeline import read_pipeline
 from lib.planning.rules import NAME
 from lib.planning.walk import explain, walk
@@ -45,7 +46,7 @@ def check_name(data, name) -> Path:
         raise BadInput(f"{folder}: a scene cannot be called {name}: that is a target of the Makefile")
     if not folder.is_dir():
         there = list_scenes(data)
-        raise BadInput(f"{folder}: there is no such scene; {data} has {', '.join(there) or 'none'}")
+        raise BadInput(f"{folder}: there is no such scene{alike(name, there)}; {data} has {', '.join(there) or 'none'}")
     return folder
 
 

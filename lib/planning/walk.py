@@ -9,12 +9,13 @@ from pathlib import Path
 
 from lib.core.stage import BadInput
 from lib.given.causes import GEOMETRIC
-from lib.planning import doctor
-from lib.planning.files import SIDES, alternatives, export_kind
+from lib.planning import doctor, near_misses
+from lib.planning.files import MODEL, PHOTOGRAPH, SIDES, alternatives, export_kind, photograph_of
 from lib.planning.pipeline import CHANGED, REPORTS, Stage
 from lib.planning.scene import Scene
 
 BY_NAME = "by name"  # in `asked_by`: a scene that does not ask for the stage may have it by `make <scene>/<stage>`
+PAIRED = (photograph_of("right"), "right.cameramodel", "boards/", "right.posed.cameramodel")  # with one it is a pair
 CLOSING = ("scorecard.csv",)  # a goal of every scene, whatever it says
 
 
@@ -170,11 +171,26 @@ class _Walk:
                 self.passed_over[maker.name] = given.name
         elif maker:
             self.plan(maker, goal, file)
+        elif reader and (near := self.near_misses(file)):
+            self.problems += near
         elif reader:
             names = " or ".join(alternatives(file))
             self.refuse(f"{goal} needs {names}, which is not in the scene's folder (stage {reader.name})")
         else:
             self.refuse(f"{goal} is neither made by a stage nor given")
+
+    def near_misses(self, file) -> list[str]:
+        """Lines about files that may be meant, where `file` can only be given and is not."""
+        folder, made = self.scene.folder, [name for stage in self.stages.values() for name in stage.files]
+        if file == PHOTOGRAPH:
+            return near_misses.photograph(folder, "left", made)
+        if file == MODEL:
+            return near_misses.model(folder)
+        if file.startswith("right.") and not any(map(self.scene.given, PAIRED)):
+            near = near_misses.photograph(folder, "right")
+            told = self.scene.given("left.posed.cameramodel") or self.scene.is_told
+            return near or (near_misses.pose(folder) if self.scene.given(PHOTOGRAPH) and not told else [])
+        return []
 
     def plan(self, stage, goal, file=None):
         """Stage must run, for the sake of goal, because of file."""
@@ -220,7 +236,7 @@ def _missing_facts(plan):
     if boards and scene.board is None and not said("board"):
         yield f"{yaml}: board: missing, and {calibrators[0]} needs to know the corners and squares of {boards}/"
     lone = [side for side in SIDES if scene.given(f"{side}.cameramodel")]
-    if not boards and len(lone) == 1:
+    if not boards and len(lone) == 1 and any(map(scene.given, PAIRED)):
         camera = scene.folder / f"{lone[0]}.cameramodel"
         yield f"{camera}: is given, but not that of the other photograph: give both, or none"
 
