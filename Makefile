@@ -93,7 +93,8 @@ help:
 	  'make                    set up, and run the demo scene: office-stereo' \
 	  'make <scene>            one scene of $(DATA)/, up to its goals' \
 	  'make <scene>/<stage>    one scene, up to and including one stage' \
-	  'make all                every scene;  make -k all goes on after a failure' \
+	  'make <scene>/check      a second: the model over the photograph, and what is doubtful, before a long run' \
+  'make all                every scene;  make -k all goes on after a failure' \
 	  'make plan               the stages of every scene; what is left out, and why' \
 	  'make check              lint and every quick test: two minutes' \
 	  'make test               all tests but the slow ones;  make test-slow: those' \

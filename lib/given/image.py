@@ -114,7 +114,7 @@ def read_photograph(path) -> Photograph:
     if path.lower().endswith(".exr"):
         values, bits = _linear_values(path), 0
     else:
-        turn = _orientation(path)
+        turn = orientation(path)
         stored = _turned(_display_values(path), turn)
         # OpenCV's BGR
         values, bits = stored[..., ::-1] / float(np.iinfo(stored.dtype).max), 8 * stored.dtype.itemsize
@@ -141,7 +141,7 @@ TURNS = {
 }
 
 
-def _orientation(path) -> int:
+def orientation(path) -> int:
     """1 to 8, as EXIF has it; 1 where a file tells nothing sensible."""
     from PIL import Image
 
