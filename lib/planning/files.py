@@ -9,6 +9,7 @@ from lib.core.stage import BadInput
 
 SIDES = ("left", "right")
 PICKED = ("pose.csv", "pose-lines.csv")  # where the model was picked in the left photograph
+FSPY = ("left.fspy", "left.fspy.json")  # a camera of fSpy's, of the left photograph
 PINHOLE = "LENSMODEL_PINHOLE"
 PHOTOGRAPH = "left.png|jpg|tif|exr"
 EXPORTS = "exports/"  # the folder of all exports, one in it for each kind

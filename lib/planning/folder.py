@@ -7,6 +7,7 @@ from lib.core.stage import BadInput
 from lib.given.units import METRES
 from lib.planning import augment, near_misses
 from lib.planning.files import (
+    FSPY,
     MODEL,
     OBJECTS,
     PHOTOGRAPH,
@@ -154,6 +155,7 @@ def _pose_problems(scene):
     picked = [path.name for path in map(scene.given, PICKED) if path]
     ways = [*([posed.name] if posed else []), *(["camera of scene.yaml"] if scene.camera else [])]
     ways += [" with ".join(picked)] if picked else []
+    ways += [path.name for path in map(scene.given, FSPY) if path]
     if len(ways) > 1:
         yield f"{scene.folder}: {' and '.join(ways)}: only one of them may tell the pose of left"
     lens = scene.given("left.cameramodel")

@@ -23,6 +23,7 @@ from lib.planning.walk import explain, walk
 TARGETS = (
     "all",
     "plan",
+    "new-scene",
     "check",
     "lint",
     "test",

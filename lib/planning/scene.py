@@ -12,6 +12,7 @@ from lib.core.stage import BadInput
 from lib.given.transfer_kinds import OF_PICTURE
 from lib.planning import augment, near_misses, rules
 from lib.planning.files import (
+    FSPY,
     MODEL,
     OBJECTS,
     PHOTOGRAPH,
@@ -35,7 +36,7 @@ IN_METRES = "model.metres.glb"
 POSED_MODEL = "model.posed.glb"
 NO_FILE = "-"  # no scene has one of this name
 PLACED = ("movable", "refine", OBJECTS)  # a scene that asks for one of these has a model with objects at found places
-TOLD = ("camera", *PICKED)  # how a person tells where `left` was taken from
+TOLD = ("camera", *PICKED, *FSPY)  # how a person tells where `left` was taken from
 GOALS = ("materials.json", "rendered.png", "report.html")
 
 
