@@ -49,7 +49,7 @@ endef
 $(foreach name,$(NAMES),$(eval $(call scene,$(name))))
 
 plan: setup
-	@$(PYTHON) -m lib.planning.plan --show --data "$(DATA)" --build "$(BUILD)"
+	@$(PYTHON) -m lib.planning.plan --show --data "$(DATA)" --build "$(BUILD)" $(SCENE)
 
 # A folder from a photograph, a model and perhaps a camera of another program
 new-scene: setup
@@ -101,7 +101,8 @@ help:
 	  'make <scene>/check      a second: the model over the photograph, and what is doubtful, before a long run' \
   'make all                every scene;  make -k all goes on after a failure' \
 	  'make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f]    a scene from your files: OBJ, GLB, PLY; COLMAP, fSpy, Blender' \
-  'make plan               the stages of every scene; what is left out, and why' \
+  'make plan               the stages of every scene, on a screen;  SCENE=<scene>: of one, what is left out, and why' \
+  'make V=1 <scene>        shows the command lines, which also lie in $(BUILD)/<scene>/commands' \
 	  'make check              lint and every quick test: two minutes' \
 	  'make test               all tests but the slow ones;  make test-slow: those' \
 	  'make bench              error against run time, as CSV and plots' \

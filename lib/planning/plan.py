@@ -18,7 +18,7 @@ from lib.planning import makefile, scene
 from lib.planning.near_misses import alike
 from lib.planning.pipeline import read_pipeline
 from lib.planning.rules import NAME
-from lib.planning.walk import explain, walk
+from lib.planning.walk import explain, overview, walk
 
 TARGETS = (
     "all",
@@ -63,7 +63,7 @@ def main(opt):
     for wish in opt.wishes or (list_scenes(opt.data) if opt.show else []):
         name, slash, stage_name = wish.partition("/")
         wishes.setdefault(name, []).append(stage_name if slash else None)
-    problems = []
+    problems, plans = [], []
     for name, wished in wishes.items():
         try:
             folder = check_name(opt.data, name)
@@ -71,13 +71,15 @@ def main(opt):
                 raise BadInput(f"BUILD: {opt.build}: the outputs would lie in the scene's folder")
             plan = walk(scene.read(folder, stages), stages, opt.build, wished)
             if opt.show:
-                print(explain(plan))
+                plans.append(plan)
             else:
                 makefile.write(plan, opt.python, root, title=opt.wishes[0] if len(opt.wishes) == 1 else name)
         except BadInput as bad:
             problems += bad.problems
             if opt.show:
                 print(f"{name}: cannot be planned")
+    if plans:
+        print("\n".join(map(explain, plans)) if opt.wishes else overview(plans))
     if problems:
         raise BadInput(*problems)
 

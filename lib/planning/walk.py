@@ -4,6 +4,7 @@ Three rules: a file in the scene's folder is given; a stage runs only if one of 
 is passed on when it is there and pulls nothing in.
 """
 
+import textwrap
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -289,3 +290,29 @@ def explain(plan) -> str:
             " or a lamp elsewhere"
         )
     return "\n".join(lines)
+
+
+def overview(plans) -> str:
+    """Scenes of the same chain together, on one screen: the chain, whose it is, and what is left out of all chains."""
+    chains = {}
+    for plan in plans:
+        chains.setdefault(tuple(plan.planned), []).append(plan)
+    lines = []
+    for chain, same in chains.items():
+        lines += _wrapped(" -> ".join(chain) or "nothing to run", "")
+        lines += _wrapped(", ".join(plan.scene.name for plan in same), "    ")
+    given, unasked = {}, set.intersection(*(set(plan.stages) - set(plan.planned) for plan in plans))
+    for plan in plans:
+        for name in plan.passed_over.keys() - set(plan.planned):
+            given.setdefault(name, []).append(plan.scene.name)
+    many = lambda names: f"{len(names)} scenes" if len(names) > 3 else ", ".join(names)
+    lines += [f"left out, for its output is given: {name} ({many(names)})" for name, names in given.items()]
+    unasked -= given.keys()
+    if unasked:
+        order = [name for name in plans[0].stages if name in unasked]
+        lines += _wrapped(f"left out of all, for no goal needs it: {', '.join(order)}", "")
+    return "\n".join([*lines, "of one scene, with reasons: make plan SCENE=<scene>"])
+
+
+def _wrapped(text, indent):
+    return textwrap.wrap(text, 118, initial_indent=indent, subsequent_indent=indent + "    ")
