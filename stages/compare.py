@@ -7,9 +7,10 @@
 reads   reports       <stage>.report.json, in the order of the pipeline
         materials, scores (rendered.json), group, object, depth, legend, mirror    what came out; each may be missing
         lens, camera, posed, lens_right, camera_right, calibration, surfaces, facets, pose, model     likewise
+        poses         photos.json, likewise
         truth         a folder: materials.json group.png object.png mirror.png depth.exr legend.json left.cameramodel
-                      right.cameramodel left.posed.cameramodel calibration.json disparity.png textures.json, each of
-                      which may be there. No other stage reads it
+                      right.cameramodel left.posed.cameramodel calibration.json disparity.png textures.json photos.json
+                      (rt_cam_world, null where none is right), each of which may be there. No other stage reads it
         and the textures that materials and truth name
 writes  scorecard     scene,stage,error,value,unit,against,wall_s,cpu_s,peak_mb,status
         comparison    the same errors, and per group and channel the value, the truth, their difference in sigmas
@@ -22,7 +23,7 @@ sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names
 from lib.core import stage
 
 FILES = "group object facet legend depth materials rendered exr scores truth"
-VISION = "model calibration lens lens_right camera camera_right posed surfaces facets pose"
+VISION = "model calibration lens lens_right camera camera_right posed surfaces facets pose poses"
 
 
 def options():

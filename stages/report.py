@@ -6,9 +6,9 @@
 
 reads   photograph, rendered, group, object, facet, hidden, trusted, depth, legend, materials, scores, comparison,
         reports; of a pair: photograph, regions, surfaces, camera (of the pair's frame) and those of the right side;
-        matches, facets, pose, calibration, orientation, model; what was exported. Each may be missing, and so is its
-        section then. Also the textures that materials.json names, and plan.mk beside the page: what was left out, and
-        why
+        matches, facets, pose, calibration, orientation, model; poses, photos: of further photographs; what was
+        exported. Each may be missing, and so is its section then. Also the textures that materials.json names, and
+        plan.mk beside the page: what was left out, and why
 writes  page          HTML with everything in it, below 6 MB
 """
 
@@ -21,7 +21,7 @@ from lib.core import stage
 FILES = (
     "photograph group object facet legend depth trusted hidden materials rendered difference scores scorecard "
     "comparison photograph_right regions regions_right surfaces surfaces_right camera camera_right matches facets pose "
-    "calibration orientation model gltf mitsuba radiance usd colmap blender"
+    "calibration orientation model poses photos gltf mitsuba radiance usd colmap blender"
 )
 
 

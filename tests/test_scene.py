@@ -81,7 +81,7 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
         (
             "bogus: 1",
             "bogus: 1 is an unknown key; known are board, lens, camera, lamps, reference, transfer, surfaces, explain, "
-            "refine, movable, model, goals, augment, exports, params",
+            "refine, movable, model, photos, goals, augment, exports, params",
         ),
         ("lamps: {lamp: [1, 1, 1]}\nlamps: {lamp: [1, 1, 1]}", "line 2: lamps: the key stands there twice"),
         ("lamps: {lamp: [1, 1, 1], lamp: unknown}", "line 1: lamp: the key stands there twice"),

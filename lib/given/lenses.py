@@ -245,6 +245,12 @@ def pinhole(lens):
     return camera, share
 
 
+def pinhole_of(path) -> cameras.Camera:
+    """The pinhole of a camera file with any lens; a pinhole as it is."""
+    lens = read(path)
+    return cameras.read_cameramodel(path) if lens.model == "LENSMODEL_PINHOLE" else pinhole(lens)[0]
+
+
 def _border(width, height, step=1.0):
     """(N, 2) px once round the rim, about one to each pixel."""
     x, y = np.linspace(0, width - 1, max(2, int(width / step))), np.linspace(0, height - 1, max(2, int(height / step)))

@@ -4,10 +4,15 @@ import ast
 import json
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from lib.core.stage import BadInput
 
 SIDES = ("left", "right")
+PHOTOS = "photos/"  # further photographs, and their cameras
+PICTURES = (".png", ".jpg", ".tif", ".exr")  # endings of photographs
+# Endings of pictures that are not read.
+UNREAD = (".jpeg", ".tiff", ".heic", ".heif", ".dng", ".arw", ".nef", ".cr2", ".webp", ".bmp")
 PICKED = ("pose.csv", "pose-lines.csv")  # where the model was picked in the left photograph
 FSPY = ("left.fspy", "left.fspy.json")  # a camera of fSpy's, of the left photograph
 PINHOLE = "LENSMODEL_PINHOLE"
@@ -75,6 +80,30 @@ OBJECTS = "objects/"  # movable objects that are not in the model, a file each
 def object_files(folder) -> list[Path]:
     """The models in a scene's folder objects/ (or None), by name."""
     return sorted(p for p in folder.iterdir() if p.suffix[1:] in GROUPS_OF) if folder else []
+
+
+class Further(NamedTuple):
+    """A photograph of photos/: its name, and the paths of the picture, of its camera in the model's frame, of its lens.
+
+    posed, lens : None where there is none
+    """
+
+    name: str
+    picture: Path
+    posed: Path | None
+    lens: Path | None
+
+
+def further(folder) -> list[Further]:
+    """The photographs in a scene's folder photos/ (or None), by name."""
+    pictures = sorted(p for p in folder.iterdir() if p.suffix in PICTURES and p.is_file()) if folder else []
+    camera = lambda p, kind: path if (path := p.with_name(f"{p.stem}{kind}.cameramodel")).is_file() else None
+    return [Further(p.stem, p, camera(p, ".posed"), camera(p, "")) for p in pictures]
+
+
+def further_files(folder) -> list[Path]:
+    """All files of photos/ that are read."""
+    return [path for one in further(folder) for path in one[1:] if path]
 
 
 def model_groups(path) -> set[str] | None:

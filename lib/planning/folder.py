@@ -11,10 +11,14 @@ from lib.planning.files import (
     MODEL,
     OBJECTS,
     PHOTOGRAPH,
+    PHOTOS,
     PICKED,
+    PICTURES,
     PINHOLE,
     SIDES,
+    UNREAD,
     alternatives,
+    further,
     lens_of,
     model_groups,
     object_files,
@@ -40,6 +44,7 @@ def folder_problems(scene):
                 yield f"{scene.folder / name}: is a folder, not a file"
     yield from _pose_problems(scene)
     yield from _object_problems(scene)
+    yield from _photo_problems(scene)
     groups = model_groups(scene.given(MODEL)) if scene.given(MODEL) else None
     if groups:
         yield from _unknown_groups(scene, groups)
@@ -103,6 +108,8 @@ def inspect(scene, files) -> list[str]:
     if PHOTOGRAPH in found and found[PHOTOGRAPH].values.shape[2] == 1:
         problems += _coloured(scene)
     problems += _given_results(scene, found)
+    if PHOTOS in files:
+        problems += _unusable_photos(scene)
     if scene.augment:
         problems += augment.inspect(scene, found.get(MODEL))
     if OBJECTS in files:
@@ -176,6 +183,48 @@ def _object_problems(scene):
         elif path.stem in scene.movable:
             yield f"{scene.folder / 'scene.yaml'}: movable: {show(path.stem)} is {path} too: one of them is to go"
         names.setdefault(path.stem, path.name)
+
+
+def _photo_problems(scene):
+    """Names in photos/ that will not do, pictures that are not read, and cameras of no photograph."""
+    folder = scene.folder / "photos"
+    if folder.is_file():
+        yield f"{folder}: is a file, not a folder"
+    if not scene.given(PHOTOS):
+        return
+    names = {}
+    for one in further(folder):
+        if not NAME.fullmatch(one.name):
+            yield f"{one.picture}: {one.name}: is not a name of letters, digits, _ and -"
+        elif one.name in names:
+            yield f"{folder}: {names[one.name]} and {one.picture.name}: only one of them may be given"
+        names.setdefault(one.name, one.picture.name)
+    for path in sorted(folder.iterdir()):
+        if path.suffix == ".cameramodel" and path.name.split(".")[0] not in names:
+            yield f"{path}: is the camera of no photograph in {folder}"
+        elif path.suffix not in PICTURES and path.suffix.lower() in (*PICTURES, *UNREAD):
+            yield f"{path}: is no photograph that can be read: it must end in {', '.join(PICTURES)}"
+    for name, said in scene.photos.items():
+        for lamp in said.get("lamps", {}):
+            if lamp not in scene.lamps:
+                known = f"there are {', '.join(sorted(scene.lamps))}" if scene.lamps else "there are none"
+                where = f"{scene.folder / 'scene.yaml'}: photos.{name}.lamps.{lamp}"
+                yield f"{where}: {show(said['lamps'][lamp])} names no lamp of scene.yaml: {known}"
+
+
+def _unusable_photos(scene):
+    """Photographs and cameras in photos/ that cannot be read, or do not belong together."""
+    from lib.given import image, lenses
+    from lib.given.view import size_problem
+
+    for one in further(scene.given(PHOTOS)):
+        try:
+            picture = image.read_photograph(one.picture)
+            for path in filter(None, (one.posed, one.lens)):
+                if problem := size_problem(one.picture, picture.values, lenses.read(path), path):
+                    yield problem
+        except BadInput as bad:
+            yield from bad.problems
 
 
 def _object_names(scene, objects):

@@ -13,7 +13,7 @@ from lib.core import artefact
 from lib.core.stage import BadInput
 from lib.planning import folder, progress
 from lib.planning.command import command, imports
-from lib.planning.files import OBJECTS, PHOTOGRAPH, PICKED, here, object_files
+from lib.planning.files import OBJECTS, PHOTOGRAPH, PHOTOS, PICKED, further_files, here, object_files
 from lib.planning.walk import explain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,6 +77,8 @@ def inspect(plan) -> dict[Path, str]:
     names = {key: sorted(getattr(plan.scene, key)) for key in ("lamps", "reference", "surfaces")}
     if OBJECTS in files:
         paths += object_files(plan.scene.given(OBJECTS))
+    if PHOTOS in files:
+        paths += further_files(plan.scene.given(PHOTOS))
     if plan.scene.movable:
         names["movable"] = sorted(plan.scene.movable)
     entries = [plan.stages[name].entry for name in plan.planned if plan.stages[name].entry]

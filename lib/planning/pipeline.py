@@ -25,6 +25,7 @@ FACTS = (
     "explain",
     "refine",
     "movable",
+    "photos",
     "unit",
     "up",
     "entry",

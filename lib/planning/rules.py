@@ -19,7 +19,7 @@ NAME = re.compile(r"[A-Za-z0-9_-]+")
 AUGMENTED = re.compile(r"augmented\.[A-Za-z0-9_-]+\.(png|exr|mp4)")  # goals that an entry of `augment` makes
 KEYS = (
     *("board", "lens", "camera", "lamps", "reference", "transfer", "surfaces", "explain", "refine", "movable"),
-    *("model", "goals", "augment", "exports", "params"),
+    *("model", "photos", "goals", "augment", "exports", "params"),
 )
 REFINED = ("objects",)  # what `refine` may name
 LARGEST_SQUARE_M = 2.0  # m: a chessboard with larger squares is measured in another unit
@@ -244,6 +244,25 @@ def surfaces(value):
     for name, kind in (yield from mapping("surfaces", value)).items():
         if not isinstance(kind, str) or kind not in KINDS:
             yield f"surfaces.{name}", kind, f"is none of {', '.join(KINDS)}"
+
+
+def photos(value, there):
+    """there : names of the photographs in photos/"""
+    for name, said in (yield from mapping("photos", value)).items():
+        where = f"photos.{name}"
+        if name not in there:
+            known = f"it has {', '.join(sorted(there))}" if there else "there is none"
+            yield where, said, f"names no photograph of photos/: {known}"
+        if not isinstance(said, dict):
+            yield where, said, "is not a mapping"
+            continue
+        for key in sorted(map(str, said.keys() - {"exposure", "lamps"})):
+            yield f"{where}.{key}", said.get(key), "is an unknown key; known are exposure, lamps"
+        exposure = said.get("exposure", "unknown")
+        if exposure != "unknown" and not (finite(exposure) and exposure > 0):
+            yield f"{where}.exposure", exposure, "is neither a positive number nor `unknown`"
+        for lamp, emittance in (yield from mapping(f"{where}.lamps", said.get("lamps", {}))).items():
+            yield from three(f"{where}.lamps.{lamp}", emittance, 0, math.inf, "")
 
 
 def goals(value, known, scene):

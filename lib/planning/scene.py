@@ -16,12 +16,14 @@ from lib.planning.files import (
     MODEL,
     OBJECTS,
     PHOTOGRAPH,
+    PHOTOS,
     PICKED,
     PINHOLE,
     SIDES,
     alternatives,
     centre_of,
     export_kind,
+    further,
     here,
     lens_of,
     object_files,
@@ -57,6 +59,7 @@ class Scene:
     movable: tuple = ()  # objects of the model with a pose of their own
     model: dict = field(default_factory=dict)  # unit of its lengths; which way is up
     surfaces: dict = field(default_factory=dict)  # group -> kind
+    photos: dict = field(default_factory=dict)  # photograph of photos/ -> exposure, lamps
     goals: tuple = GOALS
     augment: tuple = ()
     exports: tuple = ()  # kinds
@@ -92,12 +95,14 @@ class Scene:
     def asks(self, word) -> bool:
         """Whether scene.yaml says something under a key, a file is there, or something lies in a folder `objects/`.
 
-        `exports`: also where a goal lies in one.
+        `exports`: also where a goal lies in one.  `photos/`: where there is a model that they can show.
         """
         if word == "exports":
             return bool(self.exported)
         if word == OBJECTS:
             return bool(object_files(self.given(word)))
+        if word == PHOTOS:
+            return bool(self.given(MODEL) and self.given(PHOTOGRAPH) and further(self.given(word)))
         return bool(self.given(word) if "." in word else getattr(self, word, False))
 
     @property
@@ -136,6 +141,8 @@ class Scene:
         if key == "transfer" and self.transfer is None:
             photograph = self.given(PHOTOGRAPH)
             return "linear" if photograph and photograph.suffix == ".exr" else "auto"
+        if key == "photos":
+            return self.photos or None
         if key in PLACED:
             return list(getattr(self, key)) or None
         return getattr(self, key)
@@ -241,6 +248,7 @@ def read(folder, stages) -> Scene:
         "movable": rules.movable,
         "model": rules.model,
         "surfaces": rules.surfaces,
+        "photos": lambda v: rules.photos(v, {one.name for one in further(bare.given(PHOTOS))}),
         "goals": lambda v: rules.goals(v, outputs, bare),
         "augment": lambda v: augment.augment(v, bare),
         "exports": lambda v: rules.exports(v, kinds),

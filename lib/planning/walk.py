@@ -17,7 +17,7 @@ from lib.planning.scene import Scene
 
 BY_NAME = "by name"  # in `asked_by`: a scene that does not ask for the stage may have it by `make <scene>/<stage>`
 PAIRED = (photograph_of("right"), "right.cameramodel", "boards/", "right.posed.cameramodel")  # with one it is a pair
-CLOSING = ("scorecard.csv",)  # a goal of every scene, whatever it says
+CLOSING = ("scorecard.csv", "photos.json")  # goals of every scene that knows their stages, whatever it says
 
 
 @dataclass

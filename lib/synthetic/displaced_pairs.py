@@ -185,13 +185,13 @@ def photographs(case, seed=0) -> tuple:
     recipe, random = case.recipe, np.random.default_rng([seed, 5])
     out = []
     for lens, T in recipe.views().values():
-        B = _radiosity(recipe, lens, T, random)
+        B = radiosity(recipe, lens, T, random)
         values = np.clip(B, 0, 1) ** (1 / recipe.gamma) + random.normal(0, recipe.pair.noise, B.shape)
         out.append(np.round(255 * np.clip(values, 0, 1)).astype(np.uint8))
     return tuple(out)
 
 
-def _radiosity(recipe, lens, T, random):
+def radiosity(recipe, lens, T, random):
     """(H, W, 3) mean over SIDE x SIDE jittered samples of each pixel."""
     triangles, owner = [], []
     for i, polygon in enumerate(recipe.polygons):

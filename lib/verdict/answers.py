@@ -29,10 +29,14 @@ READERS = {
     **dict.fromkeys(("camera", "camera_right", "posed"), cameras.read_cameramodel),
     "facets": lambda path: record.read(path, facets_file.Facets),
     "pose": lambda path: record.read(path, records.Pose),
+    "poses": lambda path: record.read(path, records.FurtherPhotographs),
 }
 TRUE_READERS = READERS | {"pose": lambda path: record.read(path, records.ObjectPoses)}
 # of the vision half: read only where truth says something of it
-VISION = ("model", "calibration", "lens", "lens_right", "camera", "camera_right", "posed", "surfaces", "facets", "pose")
+VISION = (
+    *("model", "calibration", "lens", "lens_right", "camera", "camera_right", "posed", "surfaces", "facets", "pose"),
+    "poses",
+)
 IMAGES = ("group", "object", "mirror", "depth")  # compared pixel by pixel
 TRUE_FILES = {
     "materials": "materials.json",
@@ -46,6 +50,7 @@ TRUE_FILES = {
     "posed": "left.posed.cameramodel",
     "calibration": "calibration.json",
     "pose": "pose.json",
+    "poses": "photos.json",
 }
 
 
@@ -77,6 +82,7 @@ class Answers:
     surfaces: np.ndarray | None = None
     facets: facets_file.Facets | None = None
     pose: records.Pose | records.ObjectPoses | None = None  # of truth, the objects alone
+    poses: records.FurtherPhotographs | None = None
     disparity: np.ndarray | None = None
 
     @classmethod

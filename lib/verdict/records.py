@@ -84,6 +84,27 @@ class ObjectPoses:
 
 
 @dataclass(frozen=True)
+class FurtherPhotograph:
+    """status : given, found or "not found";  covariance : (6, 6) of (omega, tau), rad and m;  why : not found"""
+
+    status: str | None = told(word())
+    rt_cam_world: tuple | None = told(numbers(6))
+    covariance: tuple | None = told(matrix(6, 6))
+    focal_px: float | None = told(number(0))
+    focal_sigma_px: float | None = told(number(0))
+    rms_px: float | None = told(number(0))
+    edges_found: float | None = told(number(0, 1))
+    why: str | None = told(word())
+
+
+@dataclass(frozen=True)
+class FurtherPhotographs:
+    """photos.json."""
+
+    photographs: dict = table_of(FurtherPhotograph)
+
+
+@dataclass(frozen=True)
 class Pose:
     """pose.json. rt_cam_world : Rodrigues vector and metres;  covariance : (6, 6) of (omega, tau), rad and m
 

@@ -6,6 +6,8 @@ pose.vertices_px                 rms of the visible vertices of the model, in th
 pose.vertices_max_px             the worst of them;  pose.vertices: how many they are
 objects.mm, .deg                 movable objects: of the middle, and of the turn; medians, and max_mm, max_deg
 objects.in_sigmas                as pose.in_sigmas, rms;  objects.missed, .invented: how many
+photos.mm, .deg                  further photographs: of the centre and the turn; medians, and max_mm, max_deg
+photos.in_sigmas                 as pose.in_sigmas, rms;  photos.missed, .invented: how many
 lens.<side>.projection_px        rms distance of the pixels that two lenses give one direction, after the best rotation
 lens.<side>.focal_relative       |f / f* - 1|
 pair.baseline_relative           |b / b* - 1|
@@ -239,6 +241,29 @@ def against_truth(found: Answers, true: Answers):
         errors += [("recognise", *error) for error in _pose(found, true)]
         errors += [("reconstruct", *error) for error in _planes(found, true)]
     errors += [("place", *error) for error in _objects(found, true)]
+    return errors + [("locate", *error) for error in _further(found, true)]
+
+
+def _further(found: Answers, true: Answers):
+    """Where further photographs were taken from, of those that truth says something of; given poses apart."""
+    if found.poses is None or true.poses is None:
+        return []
+    rows, missed, invented = [], 0, 0
+    for name, where in true.poses.photographs.items():
+        entry = found.poses.photographs.get(name)
+        if entry is None or entry.status == "given":
+            continue
+        missed += bool(where.rt_cam_world and not entry.rt_cam_world)
+        invented += bool(entry.rt_cam_world and not where.rt_cam_world)
+        if where.rt_cam_world and entry.rt_cam_world:
+            T, T_true = (matrix_from_rt(one.rt_cam_world) for one in (entry, where))
+            rows.append([value for _, value, _ in pose(T, T_true, entry.covariance)])
+    errors = [("photos.missed", missed, "1"), ("photos.invented", invented, "1")]
+    if rows:
+        deg, mm, *sigmas = np.array(rows, float).T
+        errors += [("photos.deg", float(np.median(deg)), "deg"), ("photos.max_deg", float(deg.max()), "deg")]
+        errors += [("photos.mm", float(np.median(mm)), "mm"), ("photos.max_mm", float(mm.max()), "mm")]
+        errors += [("photos.in_sigmas", float(np.sqrt(np.mean(s**2))), "sigma") for s in sigmas]
     return errors
 
 

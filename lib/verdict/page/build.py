@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lib.verdict.page import changed, exports, ladder, photometry, running, summary, vision
+from lib.verdict.page import changed, exports, further, ladder, photometry, running, summary, vision
 from lib.verdict.page.html import asset, render, sentence
 from lib.verdict.page.parts import Parts
 
@@ -30,6 +30,7 @@ def _page(parts: Parts, width):
         photometry.light_section(parts),
         photometry.models_section(parts),
         *(vision.sections(parts.vision, width) if parts.vision else ()),
+        further.further_section(parts.further, width),
         photometry.buffers_section(parts, width),
         exports.exports_section(parts),
         running.convergence_section(parts),

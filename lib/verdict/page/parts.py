@@ -13,6 +13,7 @@ from lib.core import record
 from lib.given import cameras, image, materials, model
 from lib.verdict import records, stage_reports
 from lib.verdict.comparison import Comparison
+from lib.verdict.page import further
 from lib.verdict.page.vision import SIDES, Vision, see
 from lib.vision import facets_file
 from lib.vision.matches import read_matches
@@ -37,7 +38,7 @@ class Parts:
     group, object, facet : (H, W) int, index + 1;  hidden, trusted : (H, W) bool;  depth : (H, W) m, 0 = nothing
     reports : {stage: StageReport};  plan : [(stage, why it was left out)]
     thumbnails : {group: {facet: ladder.Thumbnail}}
-    changed : [Changed], the entries of `augment`
+    changed : [Changed], the entries of `augment`;  further : [further.Shown], of photos/
     exports : {kind: its file, as the page names it};  view : the HTML of the exported scene in space
     """
 
@@ -60,6 +61,7 @@ class Parts:
     thumbnails: dict = field(default_factory=dict)
     vision: Vision | None = None
     changed: list = field(default_factory=list)
+    further: list = field(default_factory=list)
     exports: dict = field(default_factory=dict)
     view: str | None = None
 
@@ -117,8 +119,15 @@ def read(files, scene, reports, page, changed=()) -> Parts:
         plan=left_out(Path(page).parent / "plan.mk"),
         vision=_read_vision(files),
         changed=[_changed(page, Path(path)) for path in changed],
+        further=_read_further(files),
         exports={kind: _beside(page, files[kind]) for kind in EXPORTS if files[kind]},
     )
+
+
+def _read_further(files):
+    if not (files["poses"] and files["photos"]):
+        return []
+    return further.read(files["poses"], files["photos"], model.load(files["model"]) if files["model"] else None)
 
 
 def _changed(page, path) -> Changed:

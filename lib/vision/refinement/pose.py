@@ -28,7 +28,8 @@ class Refined:
 
     cameras : tuple of Camera          posed in the model's frame
     covariance : (6, 6)              of (omega, tau): T = exp(omega, tau) T_hat, left camera's axes, rad and m
-    scale : m per unit of the pair's baseline; 1 where that is the metre
+    scale : m per unit of the pair's baseline; 1 where that is the metre; of an unknown lens: times its focal length
+    focal_sigma : of an unknown lens, as a part of the focal length; None where the lens is known
     rms_px : of the residuals, robust
     support : share of the predicted edges that the photographs show; chance : share that would be found anywhere
     evidence : nats, from support against chance;  needed, least : evidence and support that an answer needs
@@ -49,6 +50,7 @@ class Refined:
     status: str = "unique"
     chosen: int = 0
     ambiguous: tuple = ()
+    focal_sigma: float | None = None
 
 
 WITNESS = 10  # samples that share their error, about
@@ -209,7 +211,9 @@ def _lens_covariance(fit, rig, T, scale, lens_px):
     return total
 
 
-def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, certain=8.0, ln_hypotheses=0.0) -> Refined:
+def refine(
+    model, sides, found, labels=None, *, method="edges", lens_px=0.1, certain=8.0, ln_hypotheses=0.0, is_zoom=False
+) -> Refined:
     """The recognised poses refined and judged by the photographs.
 
     sides : Side of the left photograph, and of the right one if there is one
@@ -218,13 +222,16 @@ def refine(model, sides, found, labels=None, *, method="edges", lens_px=0.1, cer
     lens_px : how well the cameras' own projections are known: it goes into the covariance
     certain : nats by which the photographs must prefer a pose to call the others wrong
     ln_hypotheses : of how many poses `found` has the best: so much evidence the best of them has by chance
+    is_zoom : the lone camera's focal length is unknown, and `scale` of the poses multiplies it
 
     status : "unique"; "ambiguous": other poses, among them those that a nearly symmetric model has, are not refuted;
     "symmetric": but for the equal ones of a model that comes onto itself; "not recognised"
     ambiguous : {rt_cam_world, support, error_px} of the others and the equal ones
     """
     rig = rig_of(
-        sides, depth(model, Camera(sides[0].camera.K, sides[0].camera.width, sides[0].camera.height, found.poses[0].T))
+        sides,
+        depth(model, Camera(sides[0].camera.K, sides[0].camera.width, sides[0].camera.height, found.poses[0].T)),
+        is_zoom,
     )
     free = found.poses[0].covariance.shape == (7, 7)
     edges = model_edges(model)
@@ -290,9 +297,13 @@ ENOUGH = 50.0  # nats with which no coarser start is tried
 
 
 def _posed(rig, result):
-    """The rig of a result, its lengths in metres."""
+    """The rig of a result, its lengths in metres, its lenses known."""
     inverse = np.linalg.inv(result.cameras[0].T_cam_world)
-    return replace(rig, relative=tuple(camera.T_cam_world @ inverse for camera in result.cameras))
+    relative = tuple(camera.T_cam_world @ inverse for camera in result.cameras)
+    if rig.is_zoom:
+        sides = tuple(replace(side, camera=c) for side, c in zip(rig.sides, result.cameras, strict=True))
+        rig = replace(rig, sides=sides, is_zoom=False)
+    return replace(rig, relative=relative)
 
 
 def _near(a, b, depth):
@@ -327,20 +338,30 @@ def _refine_one(model, edges, rig, pyramids, pose, free, method, labels, lens_px
             break
     _, T, scale, trace = max(tried, key=lambda t: t[0])
     final = [(1, 3.0), (1, 2.0)]
-    if free:
+    if free and not rig.is_zoom:
         T, scale, _ = _edges_method(model, edges, rig, pyramids, T, scale, free, final[:1], trace)
         rig, T, scale, fit, held = _each_alone(model, edges, rig, pyramids, T, scale, final, trace)
     else:
         T, scale, fit = _edges_method(model, edges, rig, pyramids, T, scale, free, final, trace)
         held = rig
     support, chance, evidence = evidence_of(model, edges, rig, pyramids, T, scale)
-    covariance = (
-        pose.covariance[:6, :6]
-        if fit is None
-        else (covariance_by_edges(fit) + _lens_covariance(fit, held, T, scale, lens_px))[:6, :6]
-    )
+    covariance = pose.covariance
+    if fit is not None:
+        covariance = covariance_by_edges(fit)
+        if rig.is_zoom:  # seven numbers are many for the few edges of one photograph
+            number = len(np.unique(fit.at[0][0]))
+            covariance = covariance * number / max(number - len(fit.H), 1)
+        covariance = covariance + _lens_covariance(fit, held, T, scale, lens_px)
     return Refined(
-        rig.cameras(T, scale), covariance, scale, rms(fit.parts) if fit else None, support, chance, evidence, trace
+        rig.cameras(T, scale),
+        covariance[:6, :6],
+        scale,
+        rms(fit.parts) if fit else None,
+        support,
+        chance,
+        evidence,
+        trace,
+        focal_sigma=float(np.sqrt(covariance[6, 6])) if rig.is_zoom else None,
     )
 
 

@@ -45,28 +45,41 @@ class Rig:
 
     sides : of Side; relative : T_side_left of each, the translation in units of the facets; depth : m, how far away the
     model is seen
+    is_zoom : `scale` is no length: it multiplies the focal lengths of a lone camera whose lens is not known
     """
 
     sides: tuple
     relative: tuple
     depth: float
+    is_zoom: bool = False
 
     def cameras(self, T, scale):
-        """Posed by T (4, 4), world to the left camera. scale : m per unit of the facets"""
+        """Posed by T (4, 4), world to the left camera. scale : m per unit of the facets, or of the focal length"""
         made = []
         for side, D in zip(self.sides, self.relative, strict=True):
-            D = D.copy()
-            D[:3, 3] *= scale
-            made.append(Camera(side.camera.K, side.camera.width, side.camera.height, D @ T))
+            D, K = D.copy(), side.camera.K
+            if self.is_zoom:
+                K = zoomed(K, scale)
+            else:
+                D[:3, 3] *= scale
+            made.append(Camera(K, side.camera.width, side.camera.height, D @ T))
         return tuple(made)
 
 
+def zoomed(K, factor):
+    """K (3, 3) with both focal lengths so many times as long."""
+    K = K.copy()
+    K[:2, :2] *= factor
+    return K
+
+
 def project(rig, side, T, scale, p, jacobian=False, free=False):
-    """Pixels (N, 2) of world points p (N, 3) m and, if asked for, their derivatives (N, 2, 6), or 7 with the scale."""
+    """Pixels (N, 2) of world points p (N, 3) m and, if asked for, their derivatives (N, 2, 6), or 7 with ln scale."""
     K, D = rig.sides[side].camera.K, rig.relative[side]
+    K, shift = (zoomed(K, scale), 0.0) if rig.is_zoom else (K, scale)
     centre = -T[:3, :3].T @ T[:3, 3]
     x_left = (p - centre) @ T[:3, :3].T
-    x = x_left @ D[:3, :3].T + scale * D[:3, 3]
+    x = x_left @ D[:3, :3].T + shift * D[:3, 3]
     z = np.where(x[:, 2] > 1e-9, x[:, 2], 1e-9)
     q = (x / z[:, None]) @ K.T
     if not jacobian:
@@ -81,8 +94,11 @@ def project(rig, side, T, scale, p, jacobian=False, free=False):
     dx[:, :, :3] = D[:3, :3] @ cross
     dx[:, :, 3:6] = D[:3, :3]
     if free:
-        dx[:, :, 6] = scale * D[:3, 3]
-    return q[:, :2], dq @ dx
+        dx[:, :, 6] = shift * D[:3, 3]
+    J = dq @ dx
+    if free and rig.is_zoom:
+        J[:, :, 6] = q[:, :2] - K[:2, 2]
+    return q[:, :2], J
 
 
 def step(T, scale, delta):
@@ -139,14 +155,17 @@ def view(rig):
 def moved_px(rig, old, T, scale):
     """How far corners and middle of the picture move between two poses, px (largest)."""
     q, x = view(rig)
-    T0 = old[0]
-    return float(np.abs(project(rig, 0, T, scale, (x - T0[:3, 3]) @ T0[:3, :3]) - q).max())
+    T0, scale0 = old
+    p = (x - T0[:3, 3]) @ T0[:3, :3]
+    if rig.is_zoom:
+        q = project(rig, 0, T0, scale0, p)
+    return float(np.abs(project(rig, 0, T, scale, p) - q).max())
 
 
-def rig_of(sides, depth):
+def rig_of(sides, depth, is_zoom=False):
     """The Rig of the left Side and the right one, if there is one. depth : m"""
     inverse = np.linalg.inv(sides[0].camera.T_cam_world)
-    return Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides), depth)
+    return Rig(tuple(sides), tuple(side.camera.T_cam_world @ inverse for side in sides), depth, is_zoom)
 
 
 def depth(model, camera):
