@@ -57,6 +57,7 @@ def main(opt):
     with Report.of(opt) as report:
         with report.excluded("imports"):
             import cv2  # noqa: F401  these where lib/ imports late
+            import numpy as np
             import OpenEXR  # noqa: F401
 
             from lib.picture import display, phong, rendering
@@ -79,6 +80,10 @@ def main(opt):
             values, depth = subject.quantised(shown)
             scores = display.scores(values, wanted, subject.group, subject.groups)
             scores |= {"difference_gain": GAIN, "difference_zero": 0.5}
+            names = np.array([*subject.groups, None], object)[subject.group]
+            for text in display.unlike(values, wanted, names, subject.counted, subject.fitted):
+                report.warning(text)
+                report.status = "not converged"
         report.trace(rmse=scores["rmse"])
         with report.timing("comparisons"):
             local, ambient, power = phong.phong_picture(subject, picture)

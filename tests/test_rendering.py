@@ -488,6 +488,25 @@ def test_as_a_user_would(tmp_path, run, refuses):
         "curve"
     }  # of a fit under a curve only
     two_measures(report, scores["rmse"])
+    assert report["status"] == "complete"
+    for group in content["groups"].values():
+        group["error"] = 0.001
+    (tmp_path / "materials.json").write_text(json.dumps(content | {"status": "converged"}))
+    result = run("stages/render.py", *words(inputs | outputs))
+    assert "its values are not proved" in result.stderr
+    assert json.loads((tmp_path / "render.report.json").read_text())["status"] == "not converged"
+
+
+def test_a_rendering_that_is_not_what_the_fit_said_proves_nothing():
+    """The fit's light agreed with the photograph, the picture was .3 darker, and nothing said so."""
+    group = np.repeat(["wall", "floor", None], 300).reshape(9, 100)
+    photograph = np.full((9, 100, 3), 0.6)
+    shown = photograph - 0.3 * (group == "wall")[..., None] + 0.01 * (group == "floor")[..., None]
+    every = np.ones(group.shape, bool)
+    (said,) = display.unlike(shown, photograph, group, every, {"wall": 0.02, "floor": 0.001})
+    assert "'wall' is 0.300 (display) darker" in said
+    assert display.unlike(shown, photograph, group, group == "floor", {"wall": 0.02, "floor": 0.001}) == []
+    assert display.unlike(shown, photograph, group, every, {"wall": 0.12}) == []
 
 
 def two_measures(report, rmse):

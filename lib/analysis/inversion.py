@@ -377,7 +377,12 @@ def _why(task, answer: Answer, edges, things=None):
         why = agreement.joined(why, edges.why)
     if answer.audit is None or any(w.cause == "transfer" for w in why):
         return why  # under another function than the camera's, shadows look like things
-    return agreement.joined(why, _strange(task, answer, bool(why), things))
+    strange = _strange(task, answer, bool(why), things)
+    if not strange and [w.cause for w in why] == ["unknown"] and answer.climb is None:
+        from lib.analysis import strangers
+
+        strange = strangers.slightly_unlike(answer.problem, result, lambda: task.view().model.objects)
+    return agreement.joined(why, strange)
 
 
 def _rivals(answer) -> dict:

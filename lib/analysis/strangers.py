@@ -43,6 +43,7 @@ NOISY = 4  # so many times what is usual on its facet, it must be
 LINE = 60  # pixels of such lines that must hang together
 BESIDE = 0.01  # of the picture's width: lines so near to an edge of the model may be that edge
 BY_SHADOW = 0.5  # of a line's step, from which the lamps explain it
+BY_FAR = 10  # times what a cause must bring
 ELSEWHERE = 0.1  # part of a thing that lies on other facets than most of it
 
 
@@ -380,3 +381,12 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
         for one in unlike.objects(problem, result, climbed)
         if one.nats >= enough(problem)
     ]
+
+
+def slightly_unlike(problem: Problem, result: Result, names) -> list[Why]:
+    """A line for the object whose own reflectance, hardly another than its group's, brings most by far: of use where
+    photograph and facts disagree and nothing else tells why."""
+    best = max(unlike.objects(problem, result, slightly=True), key=lambda one: one.nats, default=None)
+    if best is None or best.nats < BY_FAR * enough(problem):
+        return []
+    return [_another_material(names()[best.thing], best.ratio, problem.groups[best.group], best.nats)]

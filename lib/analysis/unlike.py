@@ -11,6 +11,7 @@ from lib.analysis.misfits import OTHER, THRESHOLD
 from lib.analysis.problem import Problem, Result
 
 LOOKED_AT = 4  # objects whose own reflectance is tried
+SLIGHT, SLIGHTLY = 0.002, 0.01  # display, and relative: what counts where nothing else is known to be wrong
 
 
 class Unlike(NamedTuple):
@@ -22,11 +23,12 @@ class Unlike(NamedTuple):
     nats: float
 
 
-def objects(problem: Problem, result: Result, climbed=()) -> list[Unlike]:
+def objects(problem: Problem, result: Result, climbed=(), slightly=False) -> list[Unlike]:
     """The objects that differ most from their groups, and by more display than light in dark corners is off by.
 
-    climbed : groups that are left out
+    climbed : groups that are left out;  slightly : by less, too
     """
+    least_shown, least = (SLIGHT, SLIGHTLY) if slightly else (THRESHOLD, OTHER)
     at, state = result.at, result.state
     brightness, tried = np.maximum(np.abs(at.displayed(state.B)), 1e-9), []
     for g in np.unique(problem.tile_group):
@@ -37,9 +39,9 @@ def objects(problem: Problem, result: Result, climbed=()) -> list[Unlike]:
             mine = (problem.tile_group == g) & (problem.tile_object == thing)
             mean = lambda values, mine=mine: np.average(values[mine], axis=0, weights=problem.n_pixels[mine])
             ratio, shown = mean(-at.residual / brightness), mean(-at.residual)
-            if np.abs(shown).max() >= THRESHOLD:
+            if np.abs(shown).max() >= least_shown:
                 tried.append((float(np.abs(ratio).max()), int(g), int(thing), mine, ratio))
-    tried = sorted((row for row in tried if row[0] >= OTHER), key=lambda row: -row[0])[:LOOKED_AT]
+    tried = sorted((row for row in tried if row[0] >= least), key=lambda row: -row[0])[:LOOKED_AT]
     if not tried:
         return []
     own, C, found = evidence(problem, at).nats, problem.channels, []

@@ -18,6 +18,8 @@ from lib.core import packages
 from lib.given.transfer import CURVES, Transfer
 from lib.given.transfer_kinds import KINDS
 
+LEAST_PX = 200  # of a group whose rendering is judged
+APART = 0.02  # display, median over a group: .004 at most on fourteen shipped scenes
 # reflectances are fitted under these as they are, under the others as under `linear`
 AS_FITTED = ("gamma", "curve", *CURVES)
 NOTES = {
@@ -106,6 +108,27 @@ def scores(shown, photograph, group, groups):
             if number[g]
         },
     }
+
+
+def unlike(shown, photograph, group, counted, fitted) -> list[str]:
+    """Lines on groups whose rendering is darker or brighter as a whole than the fit said: it proves them wrong.
+
+    shown, photograph : (H, W, C) display;  group : (H, W) names or None;  counted : (H, W) bool
+    fitted : {group: display RMSE} of the fit's own light
+    """
+    said = []
+    for name, error in fitted.items():
+        mine = counted & (group == name)
+        if mine.sum() < LEAST_PX:
+            continue
+        off = np.median((shown - photograph)[mine], axis=0)
+        if np.abs(off).max() > max(APART, 3 * error):
+            much, way = np.abs(off).max(), "darker" if off[np.abs(off).argmax()] < 0 else "brighter"
+            said.append(
+                f"group {name!r} is {much:.3f} (display) {way} in the re-rendering than in the photograph, where"
+                f" the fit left {error:.3f}: its values are not proved"
+            )
+    return said
 
 
 def transfer_models(B, photograph, group, pure, transfer: Transfer, fitted):

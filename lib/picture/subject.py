@@ -30,6 +30,7 @@ class Subject:
     transfer : how the finished picture is displayed;  coverage : the A-buffer, see lib/buffers/coverage.py
     traced : light past mirrors and glossy surfaces, where `fit` has traced it
     falloff : (H, W, 1) of the lens, or None
+    fitted : {group: display RMSE} that a fit which converged says of its tiles
     curved : smooth surfaces and mirrors of many facets, None where there are none
     """
 
@@ -43,6 +44,7 @@ class Subject:
     warnings: list = field(default_factory=list)
     falloff: np.ndarray | None = None
     curved: Curved | None = None
+    fitted: dict = field(default_factory=dict)
 
     @property
     def channels(self):
@@ -132,9 +134,10 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
     traced = specular_file.read(specular) if specular and look.finish is not None else None
     if traced is not None and not traced.fits(look.finish, len(factors.mesh), factors.lobe_of_lamps):
         traced = None
-    return Subject(
-        view, surface, factors, pieces, look, found.transfer.function, traced, warnings, falloff(found, view)
-    )
+    T, gain = found.transfer.function, falloff(found, view)
+    is_fitted = found.status == "converged" and T.kind in OF_LIGHT
+    fitted = {g: told.error for g, told in found.groups.items() if told.error} if is_fitted else {}
+    return Subject(view, surface, factors, pieces, look, T, traced, warnings, gain, fitted=fitted)
 
 
 def falloff(found, view):
