@@ -5,6 +5,9 @@ SHELL := bash
 MAKEFLAGS += --no-builtin-rules --no-print-directory
 .SUFFIXES:
 .DELETE_ON_ERROR:
+# What no rule makes: a name with blanks, which Make takes for two, or one with other signs
+.DEFAULT:
+	@echo '$@: is not a scene or a target: a folder of $(DATA)/ whose name has letters, digits, _ and - alone' >&2; exit 2
 
 ifeq ($(filter grouped-target,$(.FEATURES)),)
 $(error GNU Make 4.3 or newer is needed, this is $(MAKE_VERSION))
@@ -16,7 +19,7 @@ PYTHON := .venv/bin/python
 PYTHON3 ?= python3
 INSTALL := -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r
 
-TARGETS := all plan check lint test test-slow bench scenes doctor help clean setup demo
+TARGETS := all plan new-scene check lint test test-slow bench scenes doctor help clean setup demo
 GOALS := $(or $(MAKECMDGOALS),demo)
 # Make takes ':' in a name for a rule, and blanks for two names
 define scenes
@@ -46,7 +49,12 @@ endef
 $(foreach name,$(NAMES),$(eval $(call scene,$(name))))
 
 plan: setup
-	@$(PYTHON) -m lib.planning.plan --show --data "$(DATA)" --build "$(BUILD)"
+	@$(PYTHON) -m lib.planning.plan --show --data "$(DATA)" --build "$(BUILD)" $(SCENE)
+
+# A folder from a photograph, a model and perhaps a camera of another program
+new-scene: setup
+	@$(PYTHON) stages/new_scene.py --data "$(DATA)" --name "$(NAME)" --model "$(MODEL)" --photo "$(PHOTO)" \
+	  --camera "$(CAMERA)" --image "$(IMAGE)"
 
 # The loop while one works; all that must pass; what takes minutes each.  Tests run side by side, one on each core.
 TESTS := OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal
@@ -90,8 +98,11 @@ help:
 	  'make                    set up, and run the demo scene: office-stereo' \
 	  'make <scene>            one scene of $(DATA)/, up to its goals' \
 	  'make <scene>/<stage>    one scene, up to and including one stage' \
-	  'make all                every scene;  make -k all goes on after a failure' \
-	  'make plan               the stages of every scene; what is left out, and why' \
+	  'make <scene>/check      a second: the model over the photograph, and what is doubtful, before a long run' \
+  'make all                every scene;  make -k all goes on after a failure' \
+	  'make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f]    a scene from your files: OBJ, GLB, PLY; COLMAP, fSpy, Blender' \
+  'make plan               the stages of every scene, on a screen;  SCENE=<scene>: of one, what is left out, and why' \
+  'make V=1 <scene>        shows the command lines, which also lie in $(BUILD)/<scene>/commands' \
 	  'make check              lint and every quick test: two minutes' \
 	  'make test               all tests but the slow ones;  make test-slow: those' \
 	  'make bench              error against run time, as CSV and plots' \

@@ -10,6 +10,7 @@ reads   photograph      for its size
         points, lines   pose.csv, pose-lines.csv: what was picked, in the photograph as it was taken
         lens, pinhole   the camera as given, any lens, and as a pinhole; without: square pixels, the principal point in
                         the middle, the focal length unknown
+        fspy, fspy_json a project of fSpy's, or its export
         camera          eye, at, up, hfov_deg
 writes  posed           the camera in the model's frame
         pose            of picks alone: rt_cam_world; its covariance (6, 6) of (omega, tau), T = exp(omega, tau) T_hat
@@ -27,7 +28,11 @@ from lib.core import stage
 
 def options():
     parser = stage.parser(
-        __doc__, reads="photograph", may_read="points lines lens pinhole", writes="posed", may_write="pose"
+        __doc__,
+        reads="photograph",
+        may_read="points lines lens pinhole fspy fspy_json",
+        writes="posed",
+        may_write="pose",
     )
     parser.add_argument("--camera", type=stage.json_option, help="eye, at, up, hfov_deg, as in scene.yaml")
     return parser
@@ -44,6 +49,10 @@ def main(opt):
         if opt.camera:
             camera = cameras.look_at(width=width, height=height, **opt.camera)
             cameras.write_cameramodel(opt.posed, camera)
+        elif project := opt.fspy or opt.fspy_json:
+            from lib.given import foreign_cameras
+
+            foreign_cameras.read(project, (width, height)).write(opt.posed)
         else:
             from_picks(opt, report, width, height)
 

@@ -95,7 +95,7 @@ def test_mrcals_own_text(tmp_path):
         ("1761.181", "1e999", "intrinsics: inf"),
         ("1920", "0", "width = 0"),
         ("1920", "19.5", "width = 19.5"),
-        ("'extrinsics'", "'other'", "rt_cam_ref: 6 numbers"),
+        ("'extrinsics'", "'other'", "extrinsics: is missing, 6 numbers"),
         ("}", "", "not a camera model"),
         (MRCAL, "", "not a camera model"),
         (MRCAL, "[1]", "a list instead"),

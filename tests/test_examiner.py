@@ -133,7 +133,7 @@ def scene(folder, yaml, *, display, file="left.png", bits=8, scale=1.0, offset=(
 
 @pytest.fixture
 def make(run, tmp_path):
-    return lambda *words: run("make", f"DATA={tmp_path / 'data'}", f"BUILD={tmp_path / 'out'}", *words)
+    return lambda *words: run("make", "V=1", f"DATA={tmp_path / 'data'}", f"BUILD={tmp_path / 'out'}", *words)
 
 
 KNOWN = "lamps: {lamp: [3.0, 2.8, 2.5]}"

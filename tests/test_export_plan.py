@@ -62,7 +62,10 @@ def test_by_name_without_exports_every_kind(folder):
         ("exports: gltf", 'exports: "gltf" is not a list of gltf, mitsuba, radiance, usd, colmap, blender'),
         ("exports: [obj]", 'exports: "obj" is none of gltf, mitsuba, radiance, usd, colmap, blender'),
         ("exports: [gltf, gltf]", 'exports: "gltf" stands there twice'),
-        ("goals: [exports/gltf/scene.obj]", 'goals: "exports/gltf/scene.obj" is neither made by a stage nor given'),
+        (
+            "goals: [exports/gltf/scene.obj]",
+            'goals: "exports/gltf/scene.obj" is neither made by a stage nor given; do you mean exports/gltf/scene.glb?',
+        ),
     ],
 )
 def test_what_is_refused(folder, text, line):

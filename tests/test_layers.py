@@ -64,6 +64,8 @@ LATE = {
     ("lib.planning.folder", "lib.given.image"): "NumPy again: given files are opened only when they are new",
     ("lib.planning.folder", "lib.given.lenses"): "the same",
     ("lib.planning.folder", "lib.given.model"): "the same",
+    ("lib.planning.folder", "lib.given.picks"): "the same",
+    ("lib.planning.folder", "lib.given.sight"): "the same",
     ("lib.planning.folder", "lib.given.view"): "the same",
 }
 LONGEST = 500  # lines of a module

@@ -63,7 +63,11 @@ def run(main, parser, argv=None):
             raise
         problems = (f"{os.fsdecode(error.filename)}: {error.strerror}",)
     except KeyboardInterrupt:
+        print(f"{name}: interrupted: nothing of it was written", file=sys.stderr)
         sys.exit(128 + signal.SIGINT)
+    except BrokenPipeError:  # who read what is printed has gone: `make plan | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
     else:
         if argv is None:
             _end_at_once()
@@ -74,6 +78,7 @@ def run(main, parser, argv=None):
 
 
 def _terminate(*_):
+    print(f"{os.path.basename(sys.argv[0])}: terminated: nothing of it was written", file=sys.stderr)
     sys.exit(128 + signal.SIGTERM)  # an exception, so that `artefact.writing` removes its temporary files
 
 

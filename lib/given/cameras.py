@@ -9,6 +9,7 @@ pixel. mrcal itself is not needed: its files are Python literals.
 """
 
 import ast
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,14 +144,69 @@ def rt_from_matrix(T):
 
 def _numbers(path, content, key, count):
     value = content.get(key)
+    if value is None:
+        needed = f", {count} numbers" if count else ""
+        raise BadInput(f"{path}: {key}: is missing{needed}")
     if not isinstance(value, (list, tuple)) or (count is not None and len(value) != count):
-        raise BadInput(f"{path}: {key}: {count} numbers are needed, got {value!r}")
+        raise BadInput(f"{path}: {key}: {count} numbers are needed, got {value!r:.80}")
     for number in value:
         if (
             isinstance(number, bool) or not isinstance(number, (int, float)) or not abs(number) < 1e300
         ):  # also integers of 400 digits
             raise BadInput(f"{path}: {key}: {number!r:.80} is not a finite number")
     return np.array(value, float)
+
+
+def _literal(path, raw):
+    """The Python literal that a camera file is. BadInput says what the file is instead, where that is known."""
+    text = raw.decode("utf-8-sig", "replace").strip()
+    if not text:
+        raise BadInput(f"{path}: the file is empty: not a camera model")
+    try:
+        return ast.literal_eval(text)
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        wrong = _foreign(text) or _of_literal(error)
+    raise BadInput(f"{path}: not a camera model: {wrong}") from None
+
+
+CONVERTS = "make new-scene CAMERA=... converts it"
+
+
+def _foreign(text):
+    """What a camera file of another program looks like; None where it is none that is known."""
+    head, first = text[:2000], text.split(None, 1)[0]
+    if re.search(r"^[0-9]+ (SIMPLE_)?(PINHOLE|RADIAL|OPENCV|FULL_OPENCV|FOV)\w*( [-+.0-9e]+){4}", head, re.M):
+        return f"looks like COLMAP's cameras.txt: {CONVERTS}"
+    if head.startswith("# Image list") or re.search(r"^[0-9]+( [-+.0-9e]+){7} [0-9]+ \S+\s*$", head, re.M):
+        return f"looks like COLMAP's images.txt: {CONVERTS}"
+    if first.startswith("%YAML") or "opencv-matrix" in head:
+        return f"looks like OpenCV's YAML: {CONVERTS}"
+    if '"cameraTransform"' in head or '"cameraParameters"' in head or head.startswith("fspy"):
+        return f"looks like fSpy's JSON: {CONVERTS}"
+    if head.startswith("{") and '":' in head:
+        return f"looks like JSON, and is a file of mrcal's no more: {CONVERTS}"
+    if re.fullmatch(r"[-+.,;0-9eE\s\[\]]+", text):
+        return "is a table of numbers: not a camera model; mrcal's has lensmodel, intrinsics, extrinsics, imagersize"
+    return None
+
+
+def _other_camera(content):
+    """The same of what Python can read as well."""
+    if "cameraTransform" in content or "cameraParameters" in content:
+        return f"looks like fSpy's JSON: {CONVERTS}"
+    if "camera_matrix" in content:
+        return f"looks like OpenCV's JSON: {CONVERTS}"
+    return None
+
+
+def _of_literal(error):
+    """What Python says, in a user's words."""
+    message = str(error).splitlines()[0]
+    line = getattr(error, "lineno", None)
+    if found := re.search(r"(?:on line (\d+): )?<ast\.(\w+)", message):
+        where = f"line {found[1]}: " if found[1] else ""
+        return f"{where}{found[2].lower()} where a number, a text or a list should be"
+    return f"line {line}: {error.msg}" if line else message
 
 
 def parse(path, count_of):
@@ -160,14 +216,15 @@ def parse(path, count_of):
     does not take.
     """
     try:
-        with open(path, encoding="utf-8") as file:
-            content = ast.literal_eval(file.read().strip())
+        with open(path, "rb") as file:
+            raw = file.read()
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        raise BadInput(f"{path}: not a camera model: {str(error).splitlines()[0]}") from None
+    content = _literal(path, raw)
     if not isinstance(content, dict):
         raise BadInput(f"{path}: not a camera model: a {type(content).__name__} instead of a dictionary")
+    if other := _other_camera(content):
+        raise BadInput(f"{path}: not a camera model: {other}")
 
     lens = content.get("lensmodel")
     if not isinstance(lens, str):
@@ -175,7 +232,8 @@ def parse(path, count_of):
     intrinsics = _numbers(path, content, "intrinsics", count_of(lens))
     size = _numbers(path, content, "imagersize", 2)
     # mrcal calls this rt_fromref, later rt_cam_ref: reference to camera
-    rt = _numbers(path, content, "extrinsics" if "extrinsics" in content else "rt_cam_ref", 6)
+    key = "rt_cam_ref" if "extrinsics" not in content and "rt_cam_ref" in content else "extrinsics"
+    rt = _numbers(path, content, key, 6)
     for name, focal in zip(("fx", "fy"), intrinsics[:2], strict=True):
         if focal <= 0:
             raise BadInput(f"{path}: intrinsics: {name} = {focal:g} is not positive")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given import jpeg
+from lib.given import jpeg, strangers_files
 from lib.given.transfer import display_of_linear
 
 MAY_CLIP = 0.25  # share of a noisy surface's pixels that may be clipped: its median is not
@@ -22,6 +22,8 @@ NOISY = 0.01  # display, standard deviation of a pixel, from which a photograph 
 SKEWED, OUTLIER = 0.1, 4.0  # mean cube of second differences in sigmas; held down to so many
 ENOUGH = 300_000  # pixels that tell of the noise
 _OF_SECOND = 6.0
+FORMATS = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF"}  # as Pillow names them
+OTHER_COLOURS = ("CMYK", "LAB", "YCbCr", "HSV")  # modes of Pillow that are no R, G, B. A JPEG's YCbCr comes as RGB
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +79,31 @@ def _second_differences(values, step):
     return across[:, :-2] - 2 * across[:, 1:-1] + across[:, 2:]
 
 
+def format_problem(path) -> str | None:
+    """What the file's header says against it as a photograph: another format than its name, colours that are no RGB."""
+    from PIL import Image
+
+    path = Path(path)
+    if path.suffix == ".exr":
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as picture:
+                format, mode = picture.format, picture.mode
+    except Exception:  # decoding says what is wrong
+        return None
+    wanted = FORMATS.get(path.suffix)
+    if format in FORMATS.values() and wanted and format != wanted:
+        suffix = next(suffix for suffix, name in FORMATS.items() if name == format)
+        return f"{path}: format: {format}: rename it to {path.stem}{suffix}"
+    if wanted and format != wanted and format != "MPO":
+        return f"{path}: format: {format} under the name of {wanted}: convert it to PNG"
+    if mode in OTHER_COLOURS:
+        return f"{path}: colours: {mode}: convert the photograph to RGB (sRGB)"
+    return None
+
+
 def read_photograph(path) -> Photograph:
     """Read an 8- or 16-bit PNG, JPEG or TIFF, or an EXR. Truncated or damaged files are refused.
 
@@ -87,7 +114,7 @@ def read_photograph(path) -> Photograph:
     if path.lower().endswith(".exr"):
         values, bits = _linear_values(path), 0
     else:
-        turn = _orientation(path)
+        turn = orientation(path)
         stored = _turned(_display_values(path), turn)
         # OpenCV's BGR
         values, bits = stored[..., ::-1] / float(np.iinfo(stored.dtype).max), 8 * stored.dtype.itemsize
@@ -114,7 +141,7 @@ TURNS = {
 }
 
 
-def _orientation(path) -> int:
+def orientation(path) -> int:
     """1 to 8, as EXIF has it; 1 where a file tells nothing sensible."""
     from PIL import Image
 
@@ -290,7 +317,11 @@ def _decode(path):
         if level is not None:
             cv2.utils.logging.setLogLevel(level)
     if image is None or image.size == 0:
-        raise BadInput(f"{path}: not a readable image ({len(content)} bytes)")
+        kind = strangers_files.kind_of(content)
+        what = f"is {kind}: " if kind else ""
+        if kind == "a pointer of Git LFS":
+            raise BadInput(f"{path}: {what}git lfs pull fetches the picture")
+        raise BadInput(f"{path}: {what}not a readable image ({len(content)} bytes)")
     return image
 
 

@@ -15,6 +15,7 @@ POINT = ("x_px", "y_px", "X", "Y", "Z")
 LINE = ("x1_px", "y1_px", "x2_px", "y2_px", "X1", "Y1", "Z1", "X2", "Y2", "Z2")
 FURTHER = ("sigma_px", "name")
 LARGEST = 1e9  # px or m: what is larger is no picked place
+LEAST = 4  # places that tell a pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,8 @@ def read(points=None, lines=None) -> Picks:
 def _table(path, columns):
     """(values (n, k), sigma (n,), names) of a file with these columns, in any order, and perhaps more."""
     header, rows = _rows(path)
+    if len(header) == 1 and ";" in header[0]:
+        raise BadInput(f"{path}: header: {header[0]!r} is parted by semicolons: use commas, and a point for decimals")
     unknown = [name for name in header if name not in (*columns, *FURTHER)]
     missing = [name for name in columns if name not in header]
     if unknown or missing or len(set(header)) < len(header):

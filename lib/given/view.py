@@ -69,4 +69,9 @@ def size_problem(path, values, camera, camera_path):
     height, width = np.shape(values)[:2]
     if (width, height) == (camera.width, camera.height):
         return None
-    return f"{path}: size: {width} x {height} is not the camera's {camera.width} x {camera.height} ({camera_path})"
+    hint = ""
+    if (height, width) == (camera.width, camera.height):
+        hint = ": is it turned? viewers turn a photograph as its EXIF says, and the camera's pixels are those"
+    return (
+        f"{path}: size: {width} x {height} is not the camera's {camera.width} x {camera.height} ({camera_path}){hint}"
+    )

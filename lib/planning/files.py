@@ -14,6 +14,7 @@ PICTURES = (".png", ".jpg", ".tif", ".exr")  # endings of photographs
 # Endings of pictures that are not read.
 UNREAD = (".jpeg", ".tiff", ".heic", ".heif", ".dng", ".arw", ".nef", ".cr2", ".webp", ".bmp")
 PICKED = ("pose.csv", "pose-lines.csv")  # where the model was picked in the left photograph
+FSPY = ("left.fspy", "left.fspy.json")  # a camera of fSpy's, of the left photograph
 PINHOLE = "LENSMODEL_PINHOLE"
 PHOTOGRAPH = "left.png|jpg|tif|exr"
 EXPORTS = "exports/"  # the folder of all exports, one in it for each kind

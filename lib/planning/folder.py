@@ -1,10 +1,16 @@
 """What the scene's folder holds, checked before any stage runs."""
 
+import zipfile
+
+from lib.core import artefact
 from lib.core.stage import BadInput
-from lib.planning import augment
+from lib.given.units import METRES
+from lib.planning import augment, near_misses
 from lib.planning.files import (
+    FSPY,
     MODEL,
     OBJECTS,
+    PHOTOGRAPH,
     PHOTOS,
     PICKED,
     PICTURES,
@@ -19,6 +25,12 @@ from lib.planning.files import (
     photograph_of,
 )
 from lib.planning.rules import NAME, show
+
+LABELS = ("group.png", "object.png", "facet.png", "mirror.png")  # of the photograph's size
+RESULTS = (
+    *("formfactors.npz", "gather.npz", "audit.npz", "coverage.npz", "specular.npz"),
+    *("materials.json", "pose.json", "facets.json", "legend.json", "rendered.json"),
+)  # read in earnest by the stage that needs them, or by the comparison; here, that they can be read at all
 
 
 def folder_problems(scene):
@@ -44,7 +56,13 @@ def inspect(scene, files) -> list[str]:
     files : names as in pipeline.yaml, of which the model, photographs and cameras are opened.
     Returns problems, one line each.
     """
-    from lib.given import image, lenses, materials  # NumPy: a plan whose files were found good does without
+    from lib.given import (
+        image,
+        lenses,
+        materials,
+        picks,
+        sight,
+    )  # NumPy: a plan whose files were found good does without
     from lib.given import model as models
     from lib.given.view import size_problem
 
@@ -56,12 +74,25 @@ def inspect(scene, files) -> list[str]:
         **dict.fromkeys(cameras, lenses.read),
         scene.views["<curve>"]: materials.read_curve,
     }
+    photographs = [scene.given(photograph_of(side)) for side in SIDES if photograph_of(side) in files]
+    problems += [line for path in filter(None, photographs) if (line := image.format_problem(path))]
+    if problems:
+        return problems  # of what is in another format no more is known
     for file, reader in readers.items():
         if file in files and (path := scene.given(file)):
             try:
                 found[file] = reader(path)
             except BadInput as bad:
                 problems += bad.problems
+    picked = [scene.given(file) if file in files else None for file in PICKED]
+    if any(picked):
+        try:
+            told = picks.read(*picked)
+            if (n := len(told.p) + len(told.ends)) < picks.LEAST:
+                where = next(filter(None, picked))
+                problems.append(f"{where}: {n} picked place{'s' * (n != 1)}: at least {picks.LEAST} are needed")
+        except BadInput as bad:
+            problems += bad.problems
     for camera, side in cameras.items():
         photograph = photograph_of(side)
         if camera in found and photograph in found:
@@ -71,6 +102,12 @@ def inspect(scene, files) -> list[str]:
     if MODEL in found:
         problems += _unknown_groups(scene, found[MODEL].groups)
         problems += _object_names(scene, found[MODEL].objects)
+    posed = found.get("left.posed.cameramodel")
+    if posed and MODEL in found and (line := sight.unseen(posed, found[MODEL].scaled(METRES[scene.fact("unit")]))):
+        problems.append(f"{scene.given('left.posed.cameramodel')}: {line}")
+    if PHOTOGRAPH in found and found[PHOTOGRAPH].values.shape[2] == 1:
+        problems += _coloured(scene)
+    problems += _given_results(scene, found)
     if PHOTOS in files:
         problems += _unusable_photos(scene)
     if scene.augment:
@@ -84,12 +121,48 @@ def inspect(scene, files) -> list[str]:
     return problems
 
 
+def _coloured(scene):
+    """Values that differ from channel to channel, beside a photograph that has but one."""
+    for key in ("lamps", "reference"):
+        for name, value in (scene.fact(key) or {}).items():
+            if isinstance(value, list) and max(value) - min(value) > 1e-6 * max(1e-12, *map(abs, value)):
+                where, photograph = scene.folder / "scene.yaml", scene.given(PHOTOGRAPH).name
+                yield f"{where}: {key}.{name}: {show(value)} is coloured, but {photograph} is grey"
+
+
+def given_results(scene):
+    """Paths of results that lie in the folder, and of truth."""
+    there = sorted([*scene.folder.glob("*"), *scene.folder.glob("truth/*")])
+    return [path for path in there if path.name in (*LABELS, *RESULTS) and path.is_file()]
+
+
+def _given_results(scene, found):
+    """Whether they can be read at all, and have the photograph's size."""
+    from lib.given import image
+    from lib.given.view import size_problem
+
+    camera = found.get("left.posed.cameramodel")
+    for path in given_results(scene):
+        try:
+            if path.name in LABELS:
+                labels = image.read_labels(path)
+                if camera and (line := size_problem(path, labels, camera, scene.given("left.posed.cameramodel"))):
+                    yield line
+            elif path.suffix == ".json":
+                artefact.read_json(path)
+            elif not zipfile.is_zipfile(path):
+                yield f"{path}: not a readable .npz file"
+        except BadInput as bad:
+            yield from bad.problems
+
+
 def _pose_problems(scene):
     """Several files or keys that tell the pose of `left`, and a lens beside numbers that tell another."""
     posed = scene.given("left.posed.cameramodel")
     picked = [path.name for path in map(scene.given, PICKED) if path]
     ways = [*([posed.name] if posed else []), *(["camera of scene.yaml"] if scene.camera else [])]
     ways += [" with ".join(picked)] if picked else []
+    ways += [path.name for path in map(scene.given, FSPY) if path]
     if len(ways) > 1:
         yield f"{scene.folder}: {' and '.join(ways)}: only one of them may tell the pose of left"
     lens = scene.given("left.cameramodel")
@@ -173,5 +246,5 @@ def _unknown_groups(scene, groups):
             if name not in groups:
                 yield (
                     f"{scene.folder / 'scene.yaml'}: {key}.{name}: {show(value)} names no group of "
-                    f"{scene.given(MODEL).name}, which has {', '.join(sorted(groups))}"
+                    f"{scene.given(MODEL).name}{near_misses.alike(name, groups)}, which has {', '.join(sorted(groups))}"
                 )

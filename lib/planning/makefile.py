@@ -11,9 +11,9 @@ from pathlib import Path
 
 from lib.core import artefact
 from lib.core.stage import BadInput
-from lib.planning import folder
+from lib.planning import folder, progress
 from lib.planning.command import command, imports
-from lib.planning.files import OBJECTS, PHOTOS, further_files, here, object_files
+from lib.planning.files import OBJECTS, PHOTOGRAPH, PHOTOS, PICKED, further_files, here, object_files
 from lib.planning.walk import explain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,6 +24,9 @@ SHELL := bash
 .SUFFIXES:
 MAKEFLAGS += --no-builtin-rules --no-print-directory
 .PHONY: done
+# V=1 shows the command lines; they also lie in commands/
+Q := $(if $(filter 1,$(V)),,@)
+BEGAN := $(shell date +%s)
 """
 CHECK = (
     '\t@for file in {}; do [ -e "$$file" ]'
@@ -49,6 +52,15 @@ def write(plan, python, root=ROOT, title=None):
             (plan.build / goal).unlink(missing_ok=True)
             stamp.unlink()
     _write(plan.build / "plan.mk", text)
+    _expect(plan)
+
+
+def _expect(plan):
+    """commands/seconds: of each stage, how long it and all after it will take; in place, nothing waits for it."""
+    left = "".join(f"LEFT_{name} := {max(1, round(s))}\n" for name, s in _seconds_left(plan).items())
+    path = plan.build / "commands" / "seconds"
+    if not _holds(path, left):
+        path.write_text(left, encoding="utf-8")
 
 
 def inspect(plan) -> dict[Path, str]:
@@ -58,8 +70,10 @@ def inspect(plan) -> dict[Path, str]:
     """
     needed = {file for name in plan.planned for file in plan.stages[name].reads.values()}
     needed |= {OBJECTS for name in plan.planned if OBJECTS in plan.stages[name].may_read.values()}
+    needed |= {file for file in PICKED if any(file in plan.stages[n].may_read.values() for n in plan.planned)}
     files = {file for file in (*needed, plan.scene.views["<curve>"]) if plan.scene.given(file)}
     paths = [path for file in sorted(files) if (path := plan.scene.given(file)).is_file()]
+    paths += [path for path in folder.given_results(plan.scene) if path not in paths]
     names = {key: sorted(getattr(plan.scene, key)) for key in ("lamps", "reference", "surfaces")}
     if OBJECTS in files:
         paths += object_files(plan.scene.given(OBJECTS))
@@ -88,13 +102,13 @@ def makefile(plan, python, root=ROOT, title=None) -> tuple[str, dict[Path, str]]
         if name in plan.again:
             rules.append(_running(plan.draft, plan.stages[name], python, root, commands))
         rules.append(_running(plan, plan.stages[name], python, root, commands))
-    return _head(plan, title or plan.scene.name) + "\n" + "\n".join(rules), commands
+    return _head(plan, python, title or plan.scene.name) + "\n" + "\n".join(rules), commands
 
 
 # ---- parts of plan.mk ----
 
 
-def _head(plan, title):
+def _head(plan, python, title):
     """What comes first: the plan in words, and the target `done`, which says how it went."""
     paths = {goal: plan.build / goal for goal in plan.goals}
     waits_for = {goal: path if plan.scene.given(goal) else plan.certain(goal) for goal, path in paths.items()}
@@ -112,9 +126,13 @@ def _head(plan, title):
         lines.append(f'\t@if grep -qs \'"status": "not converged"\' {report}; then echo {said}; fi')
         said = _shell([f"{title}: {name}: does not fit: see the warnings above, and why in materials.json"])
         lines.append(f'\t@if grep -qs \'"status": "does not fit"\' {report}; then echo {said}; fi')
-    lines.append("\t@echo " + _shell([f"{title}: {page or ' '.join(map(str, sure))}"]))
+    said = ["--title", title, "--page", page or " ".join(map(str, sure)), "--stages", *plan.planned]
+    lines.append(
+        "\t@" + _shell([python, "-m", "lib.planning.progress", plan.build]) + " --began $(BEGAN) " + _shell(said)
+    )
     words = "# Written by lib/planning/plan.py; do not edit.\n# " + explain(plan).replace("\n", "\n# ") + "\n"
-    return words + HEAD + "\n".join(lines) + "\n"
+    seconds = f"-include {_make(plan.build / 'commands' / 'seconds')}\n"
+    return words + HEAD + seconds + "\n".join(lines) + "\n"
 
 
 def _copying(plan, goal, commands):
@@ -129,9 +147,24 @@ def _copying(plan, goal, commands):
     )
 
 
+def _seconds_left(plan) -> dict[str, float]:
+    """Of each planned stage: how long it and all after it will take, as far as is known."""
+    size = progress.pixels(plan.scene.given(PHOTOGRAPH))
+    took = [progress.seconds(plan.stages[n].kind, plan.build / plan.stages[n].report, size) for n in plan.planned]
+    return {name: sum(took[k:]) for k, name in enumerate(plan.planned)}
+
+
+def _begins(plan, stage):
+    """A line of shell: which stage begins, the seconds so far, and those that are left."""
+    place = f"[{plan.planned.index(stage.name) + 1}/{len(plan.planned)}]"
+    return f'echo "{place} {stage.name}  $$(( $$(date +%s) - $(BEGAN) )) s, about $(LEFT_{stage.name}) left"'
+
+
 def _running(plan, stage, python, root, commands):
     """The rule of a stage."""
     rule = _rule(plan, stage, python, root, commands)
+    first = stage.name not in plan.again or plan.is_draft
+    rule = replace(rule, recipe=[f"\t@{_begins(plan, stage)}", *rule.recipe]) if first else rule
     if stage.name in plan.again and not plan.is_draft:
         rule = replace(rule, inputs=[*rule.inputs, *_of_draft(plan, stage)], recipe=_again(plan, stage, rule))
     prerequisites = [*rule.inputs, stage.script, *(here(path) for path in imports(stage.script, root)), rule.stamp]
@@ -166,7 +199,7 @@ def _rule(plan, stage, python, root, commands):
         recipe.append(f"\t@rm -f -- {_shell(stale)}")
     if scratch:
         recipe.append(f"\t@rm -rf -- {_shell([scratch])}; mkdir -p {_shell([scratch])}")
-    recipe.append("\t" + _broken(argv))
+    recipe.append("\t$(Q)" + _broken(argv))
     if scratch:
         recipe.append(f"\t@rm -rf -- {_shell([scratch])}")
     return _Rule(targets, inputs, stamp, recipe)
@@ -187,7 +220,7 @@ def _again(plan, stage, rule):
     files = [*stage.written.values(), stage.report, *stage.beside]
     build, draft = plan.build, plan.draft.folder(stage)
     copy = draft / f".{stage.name}"
-    run = " && \\\n\t".join(line.removeprefix("\t").removeprefix("@") for line in rule.recipe)
+    run = " && \\\n\t".join(line.removeprefix("\t").removeprefix("@").removeprefix("$(Q)") for line in rule.recipe)
     lines = [
         f"@if {refined}; then",
         f"echo {_shell([f'{stage.name}: again, with the refined camera and model'])};",

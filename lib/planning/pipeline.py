@@ -1,5 +1,7 @@
 """pipeline.yaml as stages: what each reads and writes, its facts, numbers and needs."""
 
+import runpy
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -104,6 +106,17 @@ class Stage:
     @property
     def built(self) -> bool:
         return Path(self.script).is_file()
+
+    def parser(self):
+        """The stage's own options, or None where its script has none to show; stages import nothing heavy on top."""
+        path = Path(self.script)
+        if not path.is_file() or "\ndef options(" not in path.read_text(encoding="utf-8", errors="replace"):
+            return None
+        kept = list(sys.path)
+        try:
+            return runpy.run_path(str(path), run_name="planning")["options"]()
+        finally:
+            sys.path[:] = kept
 
     def within(self, scene) -> "Stage":
         """This stage in one scene: <left> and so on are files; of exports those that are asked for.

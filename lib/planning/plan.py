@@ -15,13 +15,15 @@ from pathlib import Path
 from lib.core import stage
 from lib.core.stage import BadInput
 from lib.planning import makefile, scene
+from lib.planning.near_misses import alike
 from lib.planning.pipeline import read_pipeline
 from lib.planning.rules import NAME
-from lib.planning.walk import explain, walk
+from lib.planning.walk import explain, overview, walk
 
 TARGETS = (
     "all",
     "plan",
+    "new-scene",
     "check",
     "lint",
     "test",
@@ -45,7 +47,7 @@ def check_name(data, name) -> Path:
         raise BadInput(f"{folder}: a scene cannot be called {name}: that is a target of the Makefile")
     if not folder.is_dir():
         there = list_scenes(data)
-        raise BadInput(f"{folder}: there is no such scene; {data} has {', '.join(there) or 'none'}")
+        raise BadInput(f"{folder}: there is no such scene{alike(name, there)}; {data} has {', '.join(there) or 'none'}")
     return folder
 
 
@@ -61,7 +63,7 @@ def main(opt):
     for wish in opt.wishes or (list_scenes(opt.data) if opt.show else []):
         name, slash, stage_name = wish.partition("/")
         wishes.setdefault(name, []).append(stage_name if slash else None)
-    problems = []
+    problems, plans = [], []
     for name, wished in wishes.items():
         try:
             folder = check_name(opt.data, name)
@@ -69,13 +71,15 @@ def main(opt):
                 raise BadInput(f"BUILD: {opt.build}: the outputs would lie in the scene's folder")
             plan = walk(scene.read(folder, stages), stages, opt.build, wished)
             if opt.show:
-                print(explain(plan))
+                plans.append(plan)
             else:
                 makefile.write(plan, opt.python, root, title=opt.wishes[0] if len(opt.wishes) == 1 else name)
         except BadInput as bad:
             problems += bad.problems
             if opt.show:
                 print(f"{name}: cannot be planned")
+    if plans:
+        print("\n".join(map(explain, plans)) if opt.wishes else overview(plans))
     if problems:
         raise BadInput(*problems)
 

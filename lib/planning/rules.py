@@ -3,14 +3,17 @@
 Each yields (field, value, what is wrong).
 """
 
+import argparse
 import json
 import math
 import re
 from pathlib import Path
 
+from lib.core.stage import option_of
 from lib.given import causes, transfer_kinds
 from lib.given.kinds import KINDS
 from lib.given.units import METRES
+from lib.planning.near_misses import alike
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 AUGMENTED = re.compile(r"augmented\.[A-Za-z0-9_-]+\.(png|exr|mp4)")  # goals that an entry of `augment` makes
@@ -19,6 +22,7 @@ KEYS = (
     *("model", "photos", "goals", "augment", "exports", "params"),
 )
 REFINED = ("objects",)  # what `refine` may name
+LARGEST_SQUARE_M = 2.0  # m: a chessboard with larger squares is measured in another unit
 SHARPEST = 1000  # exponent of a lamp's lobe
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 TRANSFERS = ("auto", *transfer_kinds.KINDS)
@@ -53,7 +57,8 @@ def finite(value) -> bool:
 def mapping(key, value):
     """The entries of a mapping from names; yields its own problems and returns the rest."""
     if not isinstance(value, dict):
-        yield key, value, "is not a mapping"
+        hint = f": write {key}: {{{value}: unknown}}" if key == "lamps" and isinstance(value, str) else ""
+        yield key, value, f"is not a mapping{hint}"
         return {}
     for name in value:
         if not isinstance(name, str) or not name:
@@ -71,7 +76,9 @@ def three(key, value, low, high, what):
     elif not all(map(finite, value)):
         yield key, value, "is not finite"
     elif not all(low <= v <= high for v in value):
-        yield key, value, "is negative" if high == math.inf else f"is outside [{low}, {high}]"
+        percent = high == 1 and all(v == 0 or 2 <= v <= 100 for v in value)
+        hint = f": {max(value):g} % is {max(value) / 100:g}" if percent else ""
+        yield key, value, "is negative" if high == math.inf else f"is outside [{low}, {high}]{hint}"
 
 
 def board(value):
@@ -86,6 +93,8 @@ def board(value):
     square = known.get("square_m", 1.0)
     if not (finite(square) and square > 0):
         yield "board.square_m", square, "is not a positive length in metres"
+    elif square > LARGEST_SQUARE_M:
+        yield "board.square_m", square, f"is in metres: {square:g} mm are {square / 1000:g}"
 
 
 def lens(value):
@@ -268,7 +277,7 @@ def goals(value, known, scene):
         elif not (goal in known or AUGMENTED.fullmatch(goal)) and not (
             scene.given(goal) and "|" not in goal and not goal.startswith("truth/")
         ):
-            yield "goals", goal, "is neither made by a stage nor given"
+            yield "goals", goal, f"is neither made by a stage nor given{alike(goal, known)}"
 
 
 def outside(path) -> bool:
@@ -304,7 +313,25 @@ def params(value, stages):
             if name not in known:
                 yield where, setting, f"is no number of {stage}, which has {', '.join(known) or 'none'}"
             else:
-                yield from _param(where, setting, known[name])
+                problems = list(_param(where, setting, known[name]))
+                yield from problems or _refused_by_stage(stages[stage], where, name, setting)
+
+
+def _refused_by_stage(stage, where, name, value):
+    """What the stage's own option says of the value: choices and ranges, before any stage runs."""
+    parser = stage.parser()
+    action = next((a for a in parser._actions if option_of(name) in a.option_strings), None) if parser else None
+    if action is None or value is None:
+        return
+    text = value if isinstance(value, str) else json.dumps(value)
+    try:
+        parsed = action.type(text) if action.type else text
+    except (argparse.ArgumentTypeError, TypeError, ValueError) as error:
+        wrong = str(error).removeprefix(f"{text!r} ").removeprefix(f"{text} ")
+        yield where, value, wrong or "cannot be used"
+        return
+    if action.choices and parsed not in action.choices:
+        yield where, value, f"is none of {', '.join(map(str, action.choices))}"
 
 
 def _param(where, value, default):

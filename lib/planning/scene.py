@@ -10,8 +10,9 @@ from pathlib import Path
 
 from lib.core.stage import BadInput
 from lib.given.transfer_kinds import OF_PICTURE
-from lib.planning import augment, rules
+from lib.planning import augment, near_misses, rules
 from lib.planning.files import (
+    FSPY,
     MODEL,
     OBJECTS,
     PHOTOGRAPH,
@@ -29,6 +30,7 @@ from lib.planning.files import (
     photograph_of,
 )
 from lib.planning.folder import folder_problems
+from lib.planning.near_misses import alike
 from lib.planning.rules import KEYS, show
 from lib.planning.yaml_file import read_yaml
 
@@ -36,7 +38,7 @@ IN_METRES = "model.metres.glb"
 POSED_MODEL = "model.posed.glb"
 NO_FILE = "-"  # no scene has one of this name
 PLACED = ("movable", "refine", OBJECTS)  # a scene that asks for one of these has a model with objects at found places
-TOLD = ("camera", *PICKED)  # how a person tells where `left` was taken from
+TOLD = ("camera", *PICKED, *FSPY)  # how a person tells where `left` was taken from
 GOALS = ("materials.json", "rendered.png", "report.html")
 
 
@@ -228,7 +230,9 @@ def read(folder, stages) -> Scene:
     folder = Path(folder)
     path = folder / "scene.yaml"
     if not path.is_file():
-        raise BadInput(f"{path}: there is no such file; a scene is a folder that holds it")
+        raise BadInput(
+            *near_misses.scene_yaml(folder) or [f"{path}: there is no such file; a scene is a folder that holds it"]
+        )
     bare = Scene(folder.name, folder)
     outputs = {bare.views.get(file, file): stage for stage in stages.values() for file in stage.files}
     kinds = list(dict.fromkeys(filter(None, map(export_kind, outputs))))
@@ -272,7 +276,7 @@ def _checked(path, checks):
     sound, problems = {}, []
     for key, value in facts.items():
         if key not in checks:
-            found = [(key, value, f"is an unknown key; known are {', '.join(KEYS)}")]
+            found = [(key, value, f"is an unknown key{alike(key, KEYS)}; known are {', '.join(KEYS)}")]
         elif value is None:
             found = [(key, value, "is empty: leave the key out or give it a value")]
         else:

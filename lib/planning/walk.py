@@ -4,17 +4,19 @@ Three rules: a file in the scene's folder is given; a stage runs only if one of 
 is passed on when it is there and pulls nothing in.
 """
 
+import textwrap
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lib.core.stage import BadInput
 from lib.given.causes import GEOMETRIC
-from lib.planning import doctor
-from lib.planning.files import SIDES, alternatives, export_kind
+from lib.planning import doctor, near_misses
+from lib.planning.files import MODEL, PHOTOGRAPH, SIDES, alternatives, export_kind, photograph_of
 from lib.planning.pipeline import CHANGED, REPORTS, Stage
 from lib.planning.scene import Scene
 
 BY_NAME = "by name"  # in `asked_by`: a scene that does not ask for the stage may have it by `make <scene>/<stage>`
+PAIRED = (photograph_of("right"), "right.cameramodel", "boards/", "right.posed.cameramodel")  # with one it is a pair
 CLOSING = ("scorecard.csv", "photos.json")  # goals of every scene that knows their stages, whatever it says
 
 
@@ -170,11 +172,26 @@ class _Walk:
                 self.passed_over[maker.name] = given.name
         elif maker:
             self.plan(maker, goal, file)
+        elif reader and (near := self.near_misses(file)):
+            self.problems += near
         elif reader:
             names = " or ".join(alternatives(file))
             self.refuse(f"{goal} needs {names}, which is not in the scene's folder (stage {reader.name})")
         else:
             self.refuse(f"{goal} is neither made by a stage nor given")
+
+    def near_misses(self, file) -> list[str]:
+        """Lines about files that may be meant, where `file` can only be given and is not."""
+        folder, made = self.scene.folder, [name for stage in self.stages.values() for name in stage.files]
+        if file == PHOTOGRAPH:
+            return near_misses.photograph(folder, "left", made)
+        if file == MODEL:
+            return near_misses.model(folder)
+        if file.startswith("right.") and not any(map(self.scene.given, PAIRED)):
+            near = near_misses.photograph(folder, "right")
+            told = self.scene.given("left.posed.cameramodel") or self.scene.is_told
+            return near or (near_misses.pose(folder) if self.scene.given(PHOTOGRAPH) and not told else [])
+        return []
 
     def plan(self, stage, goal, file=None):
         """Stage must run, for the sake of goal, because of file."""
@@ -220,7 +237,7 @@ def _missing_facts(plan):
     if boards and scene.board is None and not said("board"):
         yield f"{yaml}: board: missing, and {calibrators[0]} needs to know the corners and squares of {boards}/"
     lone = [side for side in SIDES if scene.given(f"{side}.cameramodel")]
-    if not boards and len(lone) == 1:
+    if not boards and len(lone) == 1 and any(map(scene.given, PAIRED)):
         camera = scene.folder / f"{lone[0]}.cameramodel"
         yield f"{camera}: is given, but not that of the other photograph: give both, or none"
 
@@ -273,3 +290,29 @@ def explain(plan) -> str:
             " or a lamp elsewhere"
         )
     return "\n".join(lines)
+
+
+def overview(plans) -> str:
+    """Scenes of the same chain together, on one screen: the chain, whose it is, and what is left out of all chains."""
+    chains = {}
+    for plan in plans:
+        chains.setdefault(tuple(plan.planned), []).append(plan)
+    lines = []
+    for chain, same in chains.items():
+        lines += _wrapped(" -> ".join(chain) or "nothing to run", "")
+        lines += _wrapped(", ".join(plan.scene.name for plan in same), "    ")
+    given, unasked = {}, set.intersection(*(set(plan.stages) - set(plan.planned) for plan in plans))
+    for plan in plans:
+        for name in plan.passed_over.keys() - set(plan.planned):
+            given.setdefault(name, []).append(plan.scene.name)
+    many = lambda names: f"{len(names)} scenes" if len(names) > 3 else ", ".join(names)
+    lines += [f"left out, for its output is given: {name} ({many(names)})" for name, names in given.items()]
+    unasked -= given.keys()
+    if unasked:
+        order = [name for name in plans[0].stages if name in unasked]
+        lines += _wrapped(f"left out of all, for no goal needs it: {', '.join(order)}", "")
+    return "\n".join([*lines, "of one scene, with reasons: make plan SCENE=<scene>"])
+
+
+def _wrapped(text, indent):
+    return textwrap.wrap(text, 118, initial_indent=indent, subsequent_indent=indent + "    ")

@@ -45,6 +45,17 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 _Loader.add_constructor("tag:yaml.org,2002:map", _construct_mapping)
 
 
+def _hint(text, mark):
+    """What is wrong, where it is one of two common slips near the mark."""
+    lines = text.split("\n")
+    for number in range(max(0, mark.line - 1), min(mark.line + 1, len(lines) - 1) + 1):
+        if re.match(r" *\t", lines[number]):
+            return f"line {number + 1}: a tab: indent with blanks"
+        if re.match(r"\s*[\w-]+:[^\s]", lines[number]):
+            return f"line {number + 1}: a blank is missing after the colon"
+    return None
+
+
 def read_yaml(path):
     """The one document in path.  BadInput in one line: not there, not UTF-8, not YAML, a key twice."""
     try:
@@ -56,6 +67,8 @@ def read_yaml(path):
         raise BadInput(f"{path}: not UTF-8: {error.reason} at byte {error.start}") from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
+        if hint := mark and _hint(text, mark):
+            raise BadInput(f"{path}: {hint}") from None
         raise BadInput(
             f"{path}: line {mark.line + 1}: {error.problem}" if mark else f"{path}: {error.problem}"
         ) from None

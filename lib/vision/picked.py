@@ -18,11 +18,10 @@ import numpy as np
 
 from lib.core.stage import BadInput
 from lib.given.cameras import Camera, matrix_from_rt, towards
-from lib.given.picks import Picks
+from lib.given.picks import LEAST, Picks
 
 STEP = 1e-6  # of a parameter, for derivatives
 FOCAL_STARTS = (0.8, 1.2, 2.0)  # over the picture's larger side, where it is unknown
-LEAST = 4  # places
 MOST_WRONG = 0.6  # of what was picked
 CHANCE = 10.0  # nats by which the right ones must beat chance, where some are wrong
 FEW, COARSE = 5, 2.0  # places with an unknown focal length that check nothing;  factor worth a word

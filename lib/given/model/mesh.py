@@ -32,6 +32,12 @@ class Model:
     def n_facets(self) -> int:
         return len(self.facet_object)
 
+    def scaled(self, metres) -> "Model":
+        """The same with its vertices times `metres`; itself for 1."""
+        if metres == 1.0:
+            return self
+        return replace(self, vertices=metres * self.vertices, facet_offset=metres * self.facet_offset)
+
     def corners(self) -> np.ndarray:
         """(T, 3, 3) m, world: the corners of every triangle."""
         return self.vertices[self.triangles]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from lib.core.stage import BadInput
+from lib.given import strangers_files
 from lib.given.model.polygons import Polygons
 
 FAR = 1 << 62  # what becomes of an index too large for an int64; no file reaches it either
@@ -13,12 +14,18 @@ def read_obj(path, content) -> Polygons:
 
     path : for messages        content : the file's bytes
     """
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise BadInput(f"{path}: is UTF-16: save it as UTF-8")
+    if kind := strangers_files.kind_of(content):
+        raise BadInput(f"{path}: is {kind}: {strangers_files.way_out(kind)}")
     try:
-        text = content.decode("utf-8")
+        text = content.decode("utf-8-sig")  # a mark of the byte order belongs to no statement
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if "\0" in text:
         raise BadInput(f"{path}: not an OBJ file: byte 0 at {text.index(chr(0))}")
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     reader = _Reader(path)
     statements = {"v": reader.vertex, "f": reader.face, "o": reader.new_object, "usemtl": reader.new_group}
     for number, line in _lines(text):
@@ -117,4 +124,15 @@ class _Reader:
                 try:
                     float(value)
                 except ValueError:
-                    self.refuse(number, f"vertex {axis} = {value} is not a number")
+                    self.refuse(number, f"vertex {axis} = {value} {_not_a_number(value)}")
+
+
+def _not_a_number(value):
+    """
+    >>> _not_a_number("1,5"), _not_a_number("0,")
+    ('has a decimal comma: write 1.5', 'has a comma: blanks part the coordinates')
+    """
+    whole, comma, part = value.partition(",")
+    if comma and part.isdigit() and whole.lstrip("+-").isdigit():
+        return f"has a decimal comma: write {whole}.{part}"
+    return "has a comma: blanks part the coordinates" if comma else "is not a number"

@@ -1,0 +1,20 @@
+# In Blender's Text Editor: open this file, Run Script.  Writes <scene>.camera.json beside the .blend file, for
+#     make new-scene NAME=... MODEL=... PHOTO=... CAMERA=<scene>.camera.json
+# Export the model as OBJ or glTF *without* turning it (OBJ: Forward Y, Up Z), so that it has Blender's own axes.
+import json
+
+import bpy
+
+render, camera = bpy.context.scene.render, bpy.context.scene.camera
+width, height = (round(n * render.resolution_percentage / 100) for n in (render.resolution_x, render.resolution_y))
+ratio = render.pixel_aspect_y / render.pixel_aspect_x  # of a pixel
+fit = camera.data.sensor_fit
+across = fit == "HORIZONTAL" or fit == "AUTO" and width >= height * ratio
+side = width if across else height * ratio  # px, that the sensor spans
+sensor = camera.data.sensor_height if fit == "VERTICAL" else camera.data.sensor_width
+focal = camera.data.lens / sensor * side
+told = {"size_px": [width, height], "lens_px": [focal, focal / ratio]}
+told["shift_px"] = [camera.data.shift_x * side, camera.data.shift_y * side / ratio]
+told["matrix_world"] = [list(row) for row in camera.matrix_world.normalized()]
+with open(bpy.path.abspath(f"//{bpy.context.scene.name}.camera.json"), "w") as file:
+    json.dump(told, file, indent=1)

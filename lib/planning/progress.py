@@ -1,0 +1,91 @@
+"""What a run says of itself: how long each stage will take, by the last run or by a shipped scene; and its last line.
+
+    $ python -m lib.planning.progress build/office --began 1700000000 --title office --page build/office/report.html
+
+Only the standard library: this runs at every `make`.
+"""
+
+import argparse
+import json
+import struct
+import time
+from pathlib import Path
+
+# Seconds on the clock of a first run on two cores, 640 x 480 px; what grows with the photograph, and what does not
+TYPICAL = {
+    **{"index": (1, 2), "formfactors": (3, 0), "gather": (3, 1), "fit": (4, 1), "coverage": (1, 1), "render": (3, 5)},
+    **{"compare": (1, 1), "report": (2, 2), "calibrate": (8, 0), "segment": (1, 4), "surfaces": (1, 2)},
+    **{"match": (1, 2), "reconstruct": (2, 4), "recognise": (4, 2), "orient": (4, 2), "undistort": (1, 1)},
+}
+ELSE = (2, 1)
+SIZE = 640 * 480
+
+
+def seconds(stage, report, pixels=None) -> float:
+    """Expected on the clock: what the last run took, else what is typical of so many pixels."""
+    try:
+        return float(_read(report)["waited_s"])
+    except (TypeError, KeyError, ValueError):
+        fixed, growing = TYPICAL.get(stage, ELSE)
+        return fixed + growing * (pixels or SIZE) / SIZE
+
+
+def pixels(photograph) -> int | None:
+    """Of a PNG, by its header; None of anything else."""
+    try:
+        with open(photograph, "rb") as file:
+            head = file.read(24)
+        if not head.startswith(b"\x89PNG\r\n\x1a\n"):
+            return None
+        width, height = struct.unpack(">II", head[16:24])
+        return width * height
+    except (OSError, TypeError, struct.error):
+        return None
+
+
+def _read(path):
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        return found if isinstance(found, dict) else {}
+    except (OSError, ValueError):
+        return {}
+
+
+def summary(build, title, page, began, stages) -> str:
+    """The last line: status where it is not `converged`, error, materials, warnings, seconds, and where to look.
+
+    The error is the rms of the re-rendering against the photograph, of full scale.
+    """
+    build = Path(build)
+    reports = [_read(build / f"{name}.report.json") for name in stages]
+    words = list(dict.fromkeys(r.get("status") for r in reports if r.get("status") in SAID))
+    rmse = _read(build / "rendered.json").get("rmse") if "render" in stages else None
+    if isinstance(rmse, float):
+        words.append(f"{100 * rmse:.2f} %")
+    groups = _read(build / "materials.json").get("groups") if "fit" in stages else None
+    if isinstance(groups, dict) and groups:
+        known = sum(bool(isinstance(g, dict) and g.get("identified")) for g in groups.values())
+        words.append(f"{known} of {len(groups)} materials")
+    warnings = sum(len(r.get("warnings", [])) for r in reports)
+    words.append(f"{warnings} warning{'s' * (warnings != 1)}")
+    words.append(f"{time.time() - began:.0f} s")
+    place = Path(page).resolve().as_uri() if page.endswith(".html") else page
+    return f"{title}: {', '.join(words)}: {place}"
+
+
+SAID = ("not converged", "does not fit", "nothing seen", "ambiguous", "symmetric")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("build")
+    parser.add_argument("--began", type=float, required=True)
+    parser.add_argument("--title", required=True)
+    parser.add_argument("--page", required=True)
+    parser.add_argument("--stages", nargs="*", default=[])
+    opt = parser.parse_args()
+    print(summary(opt.build, opt.title, opt.page, opt.began, opt.stages))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+#!/usr/bin/env python3
+"""A new scene's folder: make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f] [IMAGE=name]
+
+    $ stages/new_scene.py --data data --name attic --model attic.ply --photo IMG_1.jpeg --camera attic.fspy
+
+writes  data/attic/     left.*, model.obj or .glb, scene.yaml with comments, left.posed.cameramodel or left.cameramodel:
+                        whole, or not at all. Says what is missing, and what looks like another unit or axis
+
+CAMERA: mrcal, COLMAP (its folder, text or binary; IMAGE names the photograph), fSpy, Blender (docs/blender_camera.py),
+OpenCV (YAML, JSON).  MODEL: OBJ, GLB, glTF, PLY, STL, Mitsuba's XML.
+"""
+
+import argparse
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names would hide packages
+from lib.core import stage
+
+
+def options():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", default="data")
+    for name in ("name", "model", "photo", "camera", "image"):
+        parser.add_argument(f"--{name}", default="")
+    return parser
+
+
+def main(opt):
+    from lib.given import new_scene
+    from lib.planning.plan import TARGETS
+    from lib.planning.rules import NAME
+
+    missing = [name.upper() for name in ("name", "model", "photo") if not getattr(opt, name)]
+    if missing:
+        how = "make new-scene NAME=attic MODEL=attic.obj PHOTO=attic.jpg [CAMERA=attic.fspy] [IMAGE=attic.jpg]"
+        raise stage.BadInput(f"{', '.join(missing)}: missing: {how}")
+    if not NAME.fullmatch(opt.name) or opt.name in TARGETS:
+        raise stage.BadInput(f"NAME: {opt.name}: letters, digits, _ and - alone, and no target of the Makefile")
+    folder = Path(opt.data) / opt.name
+    if folder.exists():
+        raise stage.BadInput(f"NAME: {folder}: is there already")
+    files = {"MODEL": opt.model, "PHOTO": opt.photo, "CAMERA": opt.camera}
+    absent = [
+        f"{key}: {path}: there is no such file" for key, path in files.items() if path and not Path(path).exists()
+    ]
+    if absent:
+        raise stage.BadInput(*absent)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".new-") as partial:
+        made = Path(partial) / opt.name
+        made.mkdir()
+        try:
+            said = new_scene.make(made, opt.model, opt.photo, opt.camera or None, opt.image or None)
+        except stage.BadInput as bad:
+            raise stage.BadInput(*(line.replace(f"{made}/", "") for line in bad.problems)) from None
+        shutil.move(made, folder)
+    print(*said, sep="\n")
+    print(f"{folder}: look at scene.yaml, then: make {opt.name}/check")
+
+
+if __name__ == "__main__":
+    stage.run(main, options())
