@@ -12,6 +12,8 @@ import functools
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from lib.analysis import agreement, explain, glow, lamp_lobe, matrix, responses
 from lib.analysis.agreement import in_doubt
 from lib.analysis.audit import Audit
@@ -80,6 +82,8 @@ def solve(task: Task, report: Report) -> Answer:
     seen = _answer(explained, *_looked(task, explained)) if task.can_look else None
     things = _things_in_doubt(task, seen) if seen is not None else []
     if things and (why := _something_missing(task, seen, edges, things)):
+        return replace(seen, why=why)
+    if seen is not None and (why := _hardly_another_material(task, seen)):
         return replace(seen, why=why)
     # no lamp throws light with an outline
     may_throw = leave.lobes is not None and leave.lobes.asked
@@ -235,6 +239,21 @@ def _something_missing(task, answer, edges, things) -> list:
     return why if any(w.cause == "object_missing" for w in why) else []
 
 
+def _hardly_another_material(task, answer) -> list:
+    """[Why] of one object whose own reflectance leaves nothing to explain, where no group is flagged.
+
+    Before lobes and places are tried, which would only bend to it.
+    """
+    found = answer.explained
+    if not in_doubt(found.result) or answer.audit.flagged(found.problem, answer.judged):
+        return []
+    from lib.analysis import strangers
+
+    model = task.view().model
+    owner = lambda: np.asarray(model.facet_object)[task.factors.mesh.side // 2]
+    return strangers.slightly_unlike(found, owner, lambda: model.objects, **task.options)
+
+
 def _missing(task, explained, audit) -> list:
     """[Why] of things that the model has not: light that they take may pass for a lamp's."""
     from lib.analysis import strangers
@@ -377,12 +396,7 @@ def _why(task, answer: Answer, edges, things=None):
         why = agreement.joined(why, edges.why)
     if answer.audit is None or any(w.cause == "transfer" for w in why):
         return why  # under another function than the camera's, shadows look like things
-    strange = _strange(task, answer, bool(why), things)
-    if not strange and [w.cause for w in why] == ["unknown"] and answer.climb is None:
-        from lib.analysis import strangers
-
-        strange = strangers.slightly_unlike(answer.problem, result, lambda: task.view().model.objects)
-    return agreement.joined(why, strange)
+    return agreement.joined(why, _strange(task, answer, bool(why), things))
 
 
 def _rivals(answer) -> dict:

@@ -13,10 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.analysis import misfits, unlike
-from lib.analysis.agreement import fits
+from lib.analysis.agreement import fits, in_doubt
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import enough
+from lib.analysis.equations import Unknowns
+from lib.analysis.evidence import evidence
 from lib.analysis.explain import Explained
+from lib.analysis.gauss_newton import fit
 from lib.analysis.misfits import shown
 from lib.analysis.problem import Problem, Result
 from lib.given.materials import Why
@@ -383,10 +386,21 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
     ]
 
 
-def slightly_unlike(problem: Problem, result: Result, names) -> list[Why]:
-    """A line for the object whose own reflectance, hardly another than its group's, brings most by far: of use where
-    photograph and facts disagree and nothing else tells why."""
-    best = max(unlike.objects(problem, result, slightly=True), key=lambda one: one.nats, default=None)
-    if best is None or best.nats < BY_FAR * enough(problem):
+def slightly_unlike(found: Explained, patch_object, names, **options) -> list[Why]:
+    """A line for the object that is hardly another than its group, where its own reflectance leaves nothing to explain.
+
+    patch_object : () -> (N,) numbers;  names() : of the objects;  options : of gauss_newton.gauss_newton
+    """
+    problem, result = found.problem, found.result
+    one = max(unlike.objects(problem, result, slightly=True), key=lambda one: one.nats, default=None)
+    if one is None or one.nats < BY_FAR * enough(problem):
         return []
-    return [_another_material(names()[best.thing], best.ratio, problem.groups[best.group], best.nats)]
+    own, state = unlike.with_its_own(problem, one, patch_object()), result.state
+    other, _ = fit(
+        own, start=Unknowns(np.vstack([state.rho, state.rho[one.group]]), state.E, state.transfer), **options
+    )
+    if in_doubt(other):
+        return []
+    ratio = other.state.rho[-1] / np.maximum(other.state.rho[one.group], 1e-9)
+    gain = evidence(own, other.at).nats - evidence(problem, result.at).nats
+    return [_another_material(names()[one.thing], ratio, problem.groups[one.group], float(gain))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,22 @@ def objects(problem: Problem, result: Result, climbed=(), slightly=False) -> lis
         nats = promised(problem, at, at.displayed(each)).nats - own
         found.append(Unlike(g, thing, 1 + ratio, float(nats)))
     return found
+
+
+def with_its_own(problem: Problem, one: Unlike, patch_object) -> Problem:
+    """The same where the object is a group of its own, the last. patch_object : (N,) numbers"""
+    patches = (problem.patch_group == one.group) & (patch_object == one.thing)
+    tiles = (problem.tile_group == one.group) & (problem.tile_object == one.thing)
+    number, area = len(problem.groups), problem.area[patches].sum()
+    group_area = problem.group_area - area * (np.arange(number) == one.group)
+    return replace(
+        problem,
+        groups=(*problem.groups, f"{problem.groups[one.group]} of one object"),
+        patch_group=np.where(patches, number, problem.patch_group),
+        tile_group=np.where(tiles, number, problem.tile_group),
+        rho=np.vstack([problem.rho, np.full((1, problem.channels), np.nan)]),
+        group_area=np.append(group_area, area),
+    )
 
 
 def promise(problem: Problem, result: Result) -> float:
