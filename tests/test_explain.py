@@ -1,6 +1,7 @@
 """What may be wrong with the picture as a whole: causes that are taken, and facts that do not agree."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,9 +105,10 @@ def test_an_object_of_nearly_the_same_material_is_named_where_nothing_else_is():
     slight, exact = (explain.as_given(shown(times), max_iterations=40) for times in (1.05, 1.0))
     assert unlike.objects(slight.problem, slight.result) == []
     owner = lambda: np.arange(len(problem.patch_group)) % 2
-    named = strangers.slightly_unlike(slight, owner, lambda: ["box", "crate"])
+    plain = SimpleNamespace(with_group=lambda *_: SimpleNamespace(misfits=lambda *_: {}, flagged=lambda *_: []))
+    named = strangers.alone_unlike(slight, plain, owner, lambda: ["box", "crate"])
     assert [why.cause for why in named] == ["group_wrong"] and ("1.05" in named[0].text or "0.95" in named[0].text)
-    assert strangers.slightly_unlike(exact, owner, lambda: ["box", "crate"]) == []
+    assert strangers.alone_unlike(exact, plain, owner, lambda: ["box", "crate"]) == []
 
 
 @pytest.mark.parametrize("times", [1.05, 0.8, (1.2, 1.0, 0.9)])

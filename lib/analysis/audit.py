@@ -56,6 +56,12 @@ class Audit:
     def tiles(self) -> Receivers:
         return unplaced(self.gathered)
 
+    def with_group(self, group, thing, number) -> Audit:
+        """The same where the tiles of one object of a group are of another. number : of that"""
+        found = self.gathered
+        mine = (found.group == group) & (found.object == thing)
+        return replace(self, gathered=replace(found, group=np.where(mine, number, found.group)), asked={})
+
     def once(self, question, ask):
         """The answer of ask(), which is asked only once."""
         if question not in self.asked:

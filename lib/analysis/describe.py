@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 NONE = (0.0, 0.0, 0.0)
 CURVE_SAMPLES = 256
+MOST_OF_LAMP, MOST_OF_LENS = 10.0, 10.0  # standard deviations of an emittance, over it, and of k, that tell nothing
 FACTS = {"lamp_power", "lamp_colour", "lamp_flipped", "transfer", "range", "units", "up_axis", "camera"}  # told wrongly
 
 
@@ -61,6 +62,8 @@ def describe(
         if climb is not None:
             group = _of_rung(group, climb, g, (textures or {}).get(g))
         known = g in problem.known_groups and g not in specular
+        if group.sigma.rho_d is not None and _believed(group.sigma.rho_d, 1.0) is None:
+            group = replace(group, identified=False, sigma=replace(group.sigma, rho_d=None))
         if why and not known:
             group = replace(group, identified=False, sigma=Sigma() if wrong else group.sigma)
         groups[name] = group
@@ -116,7 +119,8 @@ def _found(explained: Explained, result, name):
         if result.cov_cause is not None:
             own = explained.problem.cause.of(name)
             values["k"] = (values["k"] + vignetting.change(result.state.cause[own])).tolist()
-            return [(None, values, {"k": vignetting.sigma(result.cov_cause[np.ix_(own, own)])})]
+            sigma = _believed(vignetting.sigma(result.cov_cause[np.ix_(own, own)]), MOST_OF_LENS)
+            return [(None, values, sigma and {"k": sigma})]
     return [(None, dict(values), None)]
 
 
@@ -128,7 +132,14 @@ def _glow(explained, E):
 
 def _sigma_of_lobe(explained, lamp):
     sigma = explained.sigma_of_lobe(lamp)
-    return None if sigma is None else {"aim_deg": float(sigma[0]), "exponent": float(sigma[1])}
+    if sigma is None or _believed(sigma[0], 180.0) is None:
+        return None
+    return {"aim_deg": float(sigma[0]), "exponent": float(sigma[1])}
+
+
+def _believed(sigma, most):
+    """Standard deviations, None where one is beyond all that the value may be: then nothing is known of it."""
+    return sigma if sigma is not None and np.max(sigma) <= most else None
 
 
 def _three(values):
@@ -206,7 +217,7 @@ def _lamp(problem, result, k, scale, explained: Explained, told, moved) -> Lamp:
     reflects = problem.rho[problem.groups.index(name)]
     sigma = {}
     if not known and result.sigma_E is not None and scale != "convention":
-        sigma["emittance"] = _three(result.sigma_E[k])
+        sigma["emittance"] = _believed(_three(result.sigma_E[k]), MOST_OF_LAMP * np.abs(result.state.E[k]).max())
     if name in explained.lobes:
         sigma |= _sigma_of_lobe(explained, name) or {}
     if name in moved:
@@ -216,8 +227,8 @@ def _lamp(problem, result, k, scale, explained: Explained, told, moved) -> Lamp:
         _three(result.state.E[k]),
         None if lobe is None else _lobe(lobe),
         _three(moved[name].values["offset_m"]) if name in moved else None,
-        LampSigma(**sigma) if sigma else None,
-        True if sigma else None,
+        LampSigma(**sigma) if any(v is not None for v in sigma.values()) else None,
+        None not in sigma.values() if sigma else None,
         _three(reflects) if reflects.any() else None,  # a lamp named under `reference`
     )
 

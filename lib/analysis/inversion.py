@@ -83,7 +83,7 @@ def solve(task: Task, report: Report) -> Answer:
     things = _things_in_doubt(task, seen) if seen is not None else []
     if things and (why := _something_missing(task, seen, edges, things)):
         return replace(seen, why=why)
-    if seen is not None and (why := _hardly_another_material(task, seen)):
+    if seen is not None and (why := _another_material(task, seen)):
         return replace(seen, why=why)
     # no lamp throws light with an outline
     may_throw = leave.lobes is not None and leave.lobes.asked
@@ -239,19 +239,19 @@ def _something_missing(task, answer, edges, things) -> list:
     return why if any(w.cause == "object_missing" for w in why) else []
 
 
-def _hardly_another_material(task, answer) -> list:
-    """[Why] of one object whose own reflectance leaves nothing to explain, where no group is flagged.
+def _another_material(task, answer) -> list:
+    """[Why] of one object whose own reflectance leaves nothing to explain.
 
-    Before lobes and places are tried, which would only bend to it.
+    Before lobes, places and the ladder are tried, which would only bend to it.
     """
     found = answer.explained
-    if not in_doubt(found.result) or answer.audit.flagged(found.problem, answer.judged):
+    if answer.audit.given or not in_doubt(found.result):
         return []
     from lib.analysis import strangers
 
     model = task.view().model
     owner = lambda: np.asarray(model.facet_object)[task.factors.mesh.side // 2]
-    return strangers.slightly_unlike(found, owner, lambda: model.objects, **task.options)
+    return strangers.alone_unlike(found, answer.audit, owner, lambda: model.objects, **task.options)
 
 
 def _missing(task, explained, audit) -> list:

@@ -386,8 +386,9 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
     ]
 
 
-def slightly_unlike(found: Explained, patch_object, names, **options) -> list[Why]:
-    """A line for the object that is hardly another than its group, where its own reflectance leaves nothing to explain.
+def alone_unlike(found: Explained, audit: Audit, patch_object, names, **options) -> list[Why]:
+    """A line for the object whose own reflectance, however near to its group's, leaves nothing to explain: neither in
+    the fit nor, of diffuse surfaces, in the audit.
 
     patch_object : () -> (N,) numbers;  names() : of the objects;  options : of gauss_newton.gauss_newton
     """
@@ -399,7 +400,8 @@ def slightly_unlike(found: Explained, patch_object, names, **options) -> list[Wh
     other, _ = fit(
         own, start=Unknowns(np.vstack([state.rho, state.rho[one.group]]), state.E, state.transfer), **options
     )
-    if in_doubt(other):
+    audit = audit.with_group(one.group, one.thing, len(problem.groups))
+    if in_doubt(other) or audit.flagged(own, audit.misfits(own, other)):
         return []
     ratio = other.state.rho[-1] / np.maximum(other.state.rho[one.group], 1e-9)
     gain = evidence(own, other.at).nats - evidence(problem, result.at).nats
