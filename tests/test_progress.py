@@ -73,7 +73,12 @@ def test_an_interrupted_stage_says_so_in_one_line(root, sign):
         "stage.run(main, argparse.ArgumentParser(prog='fit.py'))\n"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", code], cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code],
+        cwd=root,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
     )
     assert process.stdout.readline() == "on\n"
     process.send_signal(sign)

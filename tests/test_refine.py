@@ -94,7 +94,7 @@ def test_a_first_stage_alone_is_taken_over_later(office):
     plan = planned(office, "index")
     text, _ = makefile.makefile(plan, "python", ROOT)
     assert "draft/group.png" in text and "fit.report.json" not in text
-    words = ["make", f"DATA={office}/data", f"BUILD={office}/build"]
+    words = ["make", "V=1", f"DATA={office}/data", f"BUILD={office}/build"]
     for wish in ("office/index", "office/gather"):
         run = subprocess.run([*words, wish], cwd=ROOT, env=clean(), capture_output=True, text=True)
         assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
