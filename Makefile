@@ -30,7 +30,7 @@ endef
 SCENES := $(shell $(scenes))
 
 # What is asked for: scenes and stages of scenes; those of one scene are planned and run together.
-WISHES := $(sort $(filter-out $(TARGETS),$(GOALS)) $(if $(filter demo,$(GOALS)),office-stereo) \
+WISHES := $(sort $(filter-out $(TARGETS) .venv%,$(GOALS)) $(if $(filter demo,$(GOALS)),office-stereo) \
   $(if $(filter all,$(GOALS)),$(SCENES)))
 NAMES := $(sort $(foreach wish,$(WISHES),$(firstword $(subst /, ,$(wish)))))
 
