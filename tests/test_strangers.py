@@ -47,3 +47,18 @@ def test_what_else_may_draw_a_line_is_no_thing(why):
     if why == "noise":
         seen = np.random.default_rng(5).normal(0.5, 0.05, seen.shape)
     assert picture_of(seen, owner, why == "shadows").outlined(None) == []
+
+
+@pytest.mark.parametrize("blur", [0, 6])
+def test_a_thing_stands_before_two_surfaces_where_its_sharp_outline_goes_on_over_the_second(blur):
+    """A crate of which a twentieth hides a stool behind it (room-1001); soft shadows cross borders, too."""
+    mine = np.zeros((140, 200), bool)
+    mine[30:120, 40:120] = True
+    owner = np.zeros(mine.shape, int)
+    owner[10:80, 115:160] = 1  # seen beyond its right border, and 5 px of it are hidden
+    light = 0.4 + 0.2 * mine.astype(float)
+    light = cv2.GaussianBlur(light, (0, 0), blur) if blur else light
+    picture = picture_of(light[..., None], owner)
+    assert strangers._is_of_one(owner[mine])
+    assert picture.is_before_several(mine, owner) == (blur == 0)
+    assert not picture.is_before_several(mine, np.zeros_like(owner))

@@ -214,8 +214,8 @@ class _Picture:
 
         several : one that stands before several surfaces, or has a sharp outline nearly all around
         """
-        alone = _is_of_one(self.owner[mine])
-        return self.may_be_thing(mine) and self.sharpness(mine) > (ALL_AROUND if alone and several else HALF)
+        least = ALL_AROUND if several and not self.is_before_several(mine, self.owner) else HALF
+        return self.may_be_thing(mine) and self.sharpness(mine) > least
 
     def may_be_thing(self, mine):
         """Neither what a mirror or a texture shows, nor most of a surface: that is its material, or its light."""
@@ -228,14 +228,29 @@ class _Picture:
             return False
         return bool(count.max() <= WHOLE * np.count_nonzero(self.owner == most))
 
-    def sharpness(self, mine):
-        """Share of the outline that is sharp, where it runs over the facet that is covered most; 0 where none does."""
+    def is_before_several(self, mine, owner):
+        """More than a little of it lies elsewhere than before one owner, or its sharp outline goes on over another.
+
+        owner : (H, W), of the facets or of the groups
+        """
+        if not _is_of_one(owner[mine]):
+            return True
+        most = np.bincount(owner[mine & (owner >= 0)]).argmax()
+        others = np.unique(self.owner[mine & (owner >= 0) & (owner != most)])
+        return any(self.sharpness(mine, facet) >= ALL_AROUND for facet in others)
+
+    def sharpness(self, mine, facet=None):
+        """Share of the outline that is sharp, where it runs over a facet; 0 where none does.
+
+        facet : by default the one that is covered most
+        """
         import cv2
 
-        on_most = self.owner == np.bincount(self.owner[mine & (self.owner >= 0)]).argmax()
+        if facet is None:
+            facet = np.bincount(self.owner[mine & (self.owner >= 0)]).argmax()
         spot, small, wide = mine.astype(np.uint8), np.ones((3, 3), np.uint8), np.ones((9, 9), np.uint8)
         rim = (cv2.dilate(spot, small) > 0) & ~(cv2.erode(spot, small) > 0)
-        rim &= cv2.erode(on_most.astype(np.uint8), wide) > 0
+        rim &= cv2.erode((self.owner == facet).astype(np.uint8), wide) > 0
         if np.count_nonzero(rim) < OUTLINE:
             return 0.0
         near, far = (step[rim] for step in self.steps)
@@ -312,7 +327,7 @@ class _Picture:
         owner = self.owner[mine]
         most = np.bincount(owner[owner >= 0]).argmax()
         on_plain = _is_of_one(owner) and self._is_plain_but_for(mine, most)
-        behind, alone = self.behind(mine), _is_of_one(self.of_group[mine])
+        behind, alone = self.behind(mine), not self.is_before_several(mine, self.of_group)
         outlined = sharp is not None
         sharp = sharp if outlined else self.sharpness(mine)
         return Thing(pixels, tuple(middle), behind, sharp, alone, on_plain, outlined)
