@@ -109,6 +109,10 @@ def lamps(problem, result) -> list[Why]:
 
 def lamps_told(problem, result) -> tuple[list[Why], bool]:
     """The same, and whether other emittances are all that is wrong."""
+    return result.once("lamps_told", lambda: _lamps_told(problem, result))
+
+
+def _lamps_told(problem, result):
     if not are_told(problem):
         return [], False
     state, nats = result.state, evidence(problem, result.at).nats

@@ -223,8 +223,13 @@ def lamps_alone(first: Candidate, promised: dict) -> Candidate | None:
     most = max(promised.values())
     if promised.get(LAMPS, -np.inf) < most:
         return None
-    free = Candidate.of(freed(first.problem), start=first.start)
+    free = _with_lamps_freed(first)
     return free if free.evidence.nats - first.evidence.nats >= most else None
+
+
+def _with_lamps_freed(first: Candidate) -> Candidate:
+    """The fit with lamps of any emittance and the same causes."""
+    return first.once("freed", lambda c: Candidate.of(freed(c.problem), c.taken, start=c.start))
 
 
 def other_transfer(first: Candidate, promised: dict, leave: Leave) -> tuple[Candidate, dict] | None:
@@ -281,7 +286,7 @@ def _with_free_lamps(found: Explained, leave: Leave):
     problem, least = freed(given.problem), best.evidence.nats - enough(given.problem)
     alone = given.once(LAMPS, promise_of_lamps)
     if len(found.taken) > 1 or alone >= ALONE * (best.evidence.nats - given.evidence.nats):
-        first = Candidate.of(problem, start=given.start)
+        first = _with_lamps_freed(given)
         if len(found.taken) > 1 or first.evidence.nats >= least:
             return _climbed(first, leave)[:2]
     if best.kind == "curve" and leave.response:  # it bends to lamps that are told wrongly
@@ -290,7 +295,7 @@ def _with_free_lamps(found: Explained, leave: Leave):
             return simple, []
     if promise_of_lamps(best) < ALMOST * _enough_of_lamps(problem):
         return best, found.taken
-    return Candidate.of(freed(best.problem), best.taken, start=best.start), found.taken
+    return _with_lamps_freed(best), found.taken
 
 
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:

@@ -74,14 +74,14 @@ def solve(task: Task, report: Report) -> Answer:
     leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
     first = explain.started(problem, leave, task.gamma, trace)
     may_move = may_refine and "lamp_place" in task.allowed and not edges.why
-    if task.can_look and (answer := _at_once(task, first, leave, may_move)):
+    if task.can_look and (answer := _at_once(task, first, leave, may_move, edges)):
         return answer
     explained = explain.without_lobes(first, leave, **options)
     if task.can_look and (wrong := _told_wrong(task, explained)):
         return _named(task, explained.kept(**options), wrong)
     seen = _answer(explained, *_looked(task, explained)) if task.can_look else None
     things = _things_in_doubt(task, seen) if seen is not None else []
-    if things and (why := _something_missing(task, seen, edges, things)):
+    if why := _something_missing(task, seen, edges, things):
         return replace(seen, why=why)
     if seen is not None and (why := _another_material(task, seen)):
         return replace(seen, why=why)
@@ -144,9 +144,9 @@ def _energy(task, explained):
     return _audit(task, explained).energy(explained.problem, explained.result)
 
 
-def _at_once(task, first, leave, may_move) -> Answer | None:
+def _at_once(task, first, leave, may_move, edges) -> Answer | None:
     """Where a lamp's place, or told lamps or a told transfer function that are wrong, explain more than anything else
-    might, no cause is looked for."""
+    might, no cause is looked for. A thing that the model has not takes light, too, and is asked for before."""
     if not isinstance(first, Candidate):
         return None
     rough = Explained(first.problem, first.result, "", given=first)
@@ -159,8 +159,12 @@ def _at_once(task, first, leave, may_move) -> Answer | None:
         return None
     if why := _transfer_told_wrong(task, first, leave, promised, given):
         return _answer(given(), why=why)
-    if may_move and (refined := _by_light(task, rough, above=most)):
-        return _answer(given(), refined=refined, why=refined.why)
+    if may_move and _lamp_in_doubt(task, rough, most):
+        seen = _answer(given(), *_looked(task, given()))
+        if why := _something_missing(task, seen, edges, _things_in_doubt(task, seen)):
+            return replace(seen, why=why)
+        if refined := _by_light(task, rough, above=most):
+            return _answer(given(), refined=refined, why=refined.why)
     why = _lamps_told_wrong(task, first, promised, given)
     return _named(task, given(), why) if why else None
 
@@ -304,6 +308,12 @@ def _by_edges(task, edges):
 
     refined = refine.by_edges(task.view(), edges)
     return refined if refined.keeps_parts else None
+
+
+def _lamp_in_doubt(task, explained, above) -> bool:
+    from lib.analysis import refine
+
+    return refine.lamp_in_doubt(task.view(), task.factors, task.found, explained, task.place_sigma_m, above)
 
 
 def _by_light(task, explained, above=0.0):

@@ -346,6 +346,7 @@ class Result:
     cov_transfer : (P, P) of its parameters, None where none is fitted;  at : the equations at the end
     correlated : the share of that misfit which neighbouring tiles have in common: no noise
     misfit : typical tile residual over what pixel noise and sampling explain;  shares : median relative sigma by cause
+    asked : {question: its answer}, of `once`
     """
 
     state: State
@@ -365,6 +366,13 @@ class Result:
     at: Any = field(default=None, repr=False)
     cov_cause: np.ndarray | None = None
     warnings: list = field(default_factory=list)
+    asked: dict = field(default_factory=dict, repr=False)
+
+    def once(self, question, ask):
+        """The answer of ask(), which is asked only once: what costs a fit is needed in several places."""
+        if question not in self.asked:
+            self.asked[question] = ask()
+        return self.asked[question]
 
     @property
     def sigma_gamma(self):

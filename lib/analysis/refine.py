@@ -90,9 +90,9 @@ def by_light(
 
     What a mirror or a lobe throws may look like a lamp that was moved. But then their own pixels still do not fit.
     """
-    if explained.given is None or explained.given.problem.specular is not None:
+    lamps = _lamps(view, factors, found, explained)
+    if lamps is None:
         return None
-    lamps = lamp_place.Lamps.of(DirectLight(view, factors, found))
     search = lambda base, least=0.0, above=0.0: _elsewhere(explained, base, lamps, audit, sigma_m, least, above)
     best = search(explained.given, max(above, sum(taken.nats for taken in explained.taken)), above)
     base = explained.given
@@ -113,6 +113,30 @@ def by_light(
     return Refinement(None, lamps.moved(lamp, offset), [cause], [why], base.evidence.nats + nats)
 
 
+def lamp_in_doubt(view: View, factors: FormFactors, found: Gathered, explained: Explained, sigma_m, above) -> bool:
+    """One step of a lamp from where it is drawn promises more than `above` nats. The rest as of by_light."""
+    lamps = _lamps(view, factors, found, explained)
+    return lamps is not None and _most_promising(explained.given, lamps, sigma_m, 0.0, above) is not None
+
+
+def _lamps(view, factors, found, explained) -> lamp_place.Lamps | None:
+    """The lamps that may be moved; None where nothing can be learnt of them."""
+    given = explained.given
+    if given is None or given.problem.specular is not None:
+        return None
+    return given.once("lamps_that_move", lambda _: lamp_place.Lamps.of(DirectLight(view, factors, found)))
+
+
+def _most_promising(base: Candidate, lamps, sigma_m, least, above):
+    """The lamp whose place promises most by one step, None where that is too little. least, above : of _elsewhere"""
+    prior = lambda lamp: sigma_m.get(lamp, LAMP_PLACE_M)
+    promise = lambda base: {lamp: lamp_place.promise(base, lamps, lamp, prior(lamp)) for lamp in lamps.things}
+    promises = base.once("lamp_place", promise)
+    lamp = max(promises, key=promises.get, default=None)
+    too_little = lamp is None or promises[lamp] < max(enough(base.problem), above, least / MORE)
+    return None if too_little else lamp
+
+
 def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, least, above):
     """(lamp, offset (3,), its covariance, nats) of the lamp that explains most elsewhere; None where not all fits then.
 
@@ -120,13 +144,11 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
     above : that one step must promise, too
     """
     least = max(least, enough(base.problem))
-    prior = lambda lamp: sigma_m.get(lamp, LAMP_PLACE_M)
-    promise = lambda base: {lamp: lamp_place.promise(base, lamps, lamp, prior(lamp)) for lamp in lamps.things}
-    promises = base.once("lamp_place", promise)
-    lamp = max(promises, key=promises.get, default=None)
-    if lamp is None or promises[lamp] < max(enough(base.problem), above, least / MORE):
+    lamp = _most_promising(base, lamps, sigma_m, least, above)
+    if lamp is None:
         return None
-    best = base.once(("lamp_place", lamp), lambda base: _moved(explained, base, lamps, lamp, prior(lamp)))
+    prior = sigma_m.get(lamp, LAMP_PLACE_M)
+    best = base.once(("lamp_place", lamp), lambda base: _moved(explained, base, lamps, lamp, prior))
     nats = best.evidence.nats - base.evidence.nats
     if nats < least:
         return None

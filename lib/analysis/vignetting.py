@@ -90,7 +90,7 @@ def fitted(found: Candidate, lens: Lens, pixel) -> Candidate:
     for spread in SPREADS:
         cause = _cause(problem, at, r2, k)._replace(spread=np.array(spread))
         trial = replace(problem, cause=cause.beside(problem.cause))
-        result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=6)
+        result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=4)
         at, step = result.at, change(result.state.cause[trial.cause.of(NAME)])
         k = k + step
         problem = replace(problem, gain=_means(problem, lens.gain(pixel, k))[:, None])
