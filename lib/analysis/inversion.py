@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lib.analysis import agreement, explain, glow, lamp_lobe, matrix, responses
+from lib.analysis import agreement, explain, glow, lamp_lobe, matrix, responses, unlike
 from lib.analysis.agreement import in_doubt
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import Candidate, enough
@@ -145,12 +145,14 @@ def _energy(task, explained):
 
 
 def _at_once(task, first, leave, may_move, edges) -> Answer | None:
-    """Where a lamp's place, or told lamps or a told transfer function that are wrong, explain more than anything else
-    might, no cause is looked for. A thing that the model has not takes light, too, and is asked for before."""
+    """Where told lamps or a told transfer function that are wrong, one object's material or a lamp's place explain more
+    than anything else might, no cause is looked for. A thing that the model has not takes light, too, and is asked for
+    before a lamp is moved."""
     if not isinstance(first, Candidate):
         return None
     rough = Explained(first.problem, first.result, "", given=first)
     given = functools.cache(lambda: rough.without_causes(**task.options))
+    seen = functools.cache(lambda: _answer(given(), *_looked(task, given())))
     if first.typical >= explain.HOPELESS and (why := _flipped(task, rough)):
         return _named(task, given(), why)
     promised = explain.promises(first, leave)
@@ -159,10 +161,11 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
         return None
     if why := _transfer_told_wrong(task, first, leave, promised, given):
         return _answer(given(), why=why)
+    if unlike.promise(first.problem, first.result, slightly=True) > most and (why := _another_material(task, seen())):
+        return replace(seen(), why=why)
     if may_move and _lamp_in_doubt(task, rough, most):
-        seen = _answer(given(), *_looked(task, given()))
-        if why := _something_missing(task, seen, edges, _things_in_doubt(task, seen)):
-            return replace(seen, why=why)
+        if why := _something_missing(task, seen(), edges, _things_in_doubt(task, seen())):
+            return replace(seen(), why=why)
         if refined := _by_light(task, rough, above=most):
             return _answer(given(), refined=refined, why=refined.why)
     why = _lamps_told_wrong(task, first, promised, given)

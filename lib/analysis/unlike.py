@@ -70,6 +70,6 @@ def with_its_own(problem: Problem, one: Unlike, patch_object) -> Problem:
     )
 
 
-def promise(problem: Problem, result: Result) -> float:
-    """Nats that the reflectance of one object alone would bring."""
-    return max((one.nats for one in objects(problem, result)), default=0.0)
+def promise(problem: Problem, result: Result, slightly=False) -> float:
+    """Nats that the reflectance of one object alone would bring. slightly : of `objects`"""
+    return max((one.nats for one in objects(problem, result, slightly=slightly)), default=0.0)
