@@ -18,6 +18,7 @@ from lib.given.model.polygons import Polygons
 KIND = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 TRIANGLES, STRIP = 4, 5  # modes of a primitive; those below are points and lines, those above fans
+REMAINDER = "_REMAINDER"  # our own attribute: what single precision leaves of a position
 
 
 class Mesh(NamedTuple):
@@ -120,6 +121,8 @@ class _Reader:
         if "material" not in primitive:
             raise BadInput(f"{where}: has no material")
         p = self.accessor(primitive["attributes"]["POSITION"]).astype(float)
+        if REMAINDER in primitive["attributes"]:
+            p = p + self.accessor(primitive["attributes"][REMAINDER])
         bad = np.argwhere(~np.isfinite(p))
         if len(bad):
             v, axis = bad[0]

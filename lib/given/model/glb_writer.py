@@ -11,13 +11,17 @@ import numpy as np
 
 from lib.core import artefact
 from lib.given import model as models
+from lib.given.model.glb import REMAINDER
 from lib.given.model.mesh import Model
 
 FLOAT, UNSIGNED = 5126, 5125
 
 
 def write_glb(path, model: Model):
-    """Whole or absent. Positions are single precision about the model's middle: 0.1 um in a room of 2 m."""
+    """Whole or absent. Positions are single precision about the model's middle: 0.1 um in a room of 2 m.
+
+    What that leaves of a position stands in an attribute of our own, which other programs skip.
+    """
     owner = np.column_stack([model.facet_object, model.facet_group])[model.triangle_facet]
     first = np.flatnonzero(np.any(np.diff(owner, axis=0, prepend=-1), axis=1))
     middle = (model.vertices.min(axis=0) + model.vertices.max(axis=0)) / 2
@@ -33,11 +37,14 @@ def write_glb(path, model: Model):
 
     for start, end in zip(first, [*first[1:], len(owner)], strict=True):
         used, index = np.unique(model.triangles[start:end], return_inverse=True)
-        points = (model.vertices[used] - middle).astype("<f4")
+        exact = model.vertices[used] - middle
+        points = exact.astype("<f4")
         box = {"min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()}
         position = stored(points, FLOAT, "VEC3", **box)
+        remainder = stored((exact - points).astype("<f4"), FLOAT, "VEC3")
         indices = stored(index.astype("<u4").reshape(-1), UNSIGNED, "SCALAR")
-        primitive = {"attributes": {"POSITION": position}, "indices": indices, "material": int(owner[start, 1])}
+        attributes = {"POSITION": position, REMAINDER: remainder}
+        primitive = {"attributes": attributes, "indices": indices, "material": int(owner[start, 1])}
         meshes.append({"primitives": [primitive]})
         name = model.objects[owner[start, 0]]
         nodes.append({"name": name, "mesh": len(meshes) - 1, "translation": middle.tolist()})
