@@ -54,7 +54,7 @@ plan: setup
 # A folder from a photograph, a model and perhaps a camera of another program
 new-scene: setup
 	@$(PYTHON) stages/new_scene.py --data "$(DATA)" --name "$(NAME)" --model "$(MODEL)" --photo "$(PHOTO)" \
-	  --camera "$(CAMERA)" --image "$(IMAGE)"
+	  --camera "$(CAMERA)" --image "$(IMAGE)" --picks "$(PICKS)"
 
 # The loop while one works; all that must pass; what takes minutes each.  Tests run side by side, one on each core.
 TESTS := OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal
@@ -99,10 +99,10 @@ help:
 	  'make <scene>            one scene of $(DATA)/, up to its goals' \
 	  'make <scene>/<stage>    one scene, up to and including one stage' \
 	  'make <scene>/check      a second: the model over the photograph, and what is doubtful, before a long run' \
-  'make all                every scene;  make -k all goes on after a failure' \
-	  'make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f]    a scene from your files: OBJ, GLB, PLY; COLMAP, fSpy, Blender' \
-  'make plan               the stages of every scene, on a screen;  SCENE=<scene>: of one, what is left out, and why' \
-  'make V=1 <scene>        shows the command lines, which also lie in $(BUILD)/<scene>/commands' \
+	  'make all                every scene;  make -k all goes on after a failure' \
+	  'make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f] [PICKS=f]    a scene from your files: OBJ, GLB; COLMAP, fSpy' \
+	  'make plan               the stages of every scene, on a screen;  SCENE=<scene>: of one, what is left out, and why' \
+	  'make V=1 <scene>        shows the command lines, which also lie in $(BUILD)/<scene>/commands' \
 	  'make check              lint and every quick test: two minutes' \
 	  'make test               all tests but the slow ones;  make test-slow: those' \
 	  'make bench              error against run time, as CSV and plots' \

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A new scene's folder: make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f] [IMAGE=name]
+"""A new scene's folder: make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f] [IMAGE=name] [PICKS=f]
 
     $ stages/new_scene.py --data data --name attic --model attic.ply --photo IMG_1.jpeg --camera attic.fspy
 
@@ -7,7 +7,8 @@ writes  data/attic/     left.*, model.obj or .glb, scene.yaml with comments, lef
                         whole, or not at all. Says what is missing, and what looks like another unit or axis
 
 CAMERA: mrcal, COLMAP (its folder, text or binary; IMAGE names the photograph), fSpy, Blender (docs/blender_camera.py),
-OpenCV (YAML, JSON).  MODEL: OBJ, GLB, glTF, PLY, STL, Mitsuba's XML.
+OpenCV (YAML, JSON).  PICKS: corners of the model picked in the photograph, x_px,y_px,X,Y,Z (pose.csv); X, Y, Z may be
+the model file's own numbers, or as Blender shows them.  MODEL: OBJ, GLB, glTF, PLY, STL, Mitsuba's XML.
 """
 
 import argparse
@@ -23,7 +24,7 @@ from lib.core import stage
 def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", default="data")
-    for name in ("name", "model", "photo", "camera", "image"):
+    for name in ("name", "model", "photo", "camera", "image", "picks"):
         parser.add_argument(f"--{name}", default="")
     return parser
 
@@ -35,14 +36,14 @@ def main(opt):
 
     missing = [name.upper() for name in ("name", "model", "photo") if not getattr(opt, name)]
     if missing:
-        how = "make new-scene NAME=attic MODEL=attic.obj PHOTO=attic.jpg [CAMERA=attic.fspy] [IMAGE=attic.jpg]"
+        how = "make new-scene NAME=attic MODEL=attic.obj PHOTO=attic.jpg [CAMERA=attic.fspy] [PICKS=points.csv]"
         raise stage.BadInput(f"{', '.join(missing)}: missing: {how}")
     if not NAME.fullmatch(opt.name) or opt.name in TARGETS:
         raise stage.BadInput(f"NAME: {opt.name}: letters, digits, _ and - alone, and no target of the Makefile")
     folder = Path(opt.data) / opt.name
     if folder.exists():
         raise stage.BadInput(f"NAME: {folder}: is there already")
-    files = {"MODEL": opt.model, "PHOTO": opt.photo, "CAMERA": opt.camera}
+    files = {"MODEL": opt.model, "PHOTO": opt.photo, "CAMERA": opt.camera, "PICKS": opt.picks}
     absent = [
         f"{key}: {path}: there is no such file" for key, path in files.items() if path and not Path(path).exists()
     ]
@@ -53,7 +54,7 @@ def main(opt):
         made = Path(partial) / opt.name
         made.mkdir()
         try:
-            said = new_scene.make(made, opt.model, opt.photo, opt.camera or None, opt.image or None)
+            said = new_scene.make(made, opt.model, opt.photo, opt.camera or None, opt.image or None, opt.picks or None)
         except stage.BadInput as bad:
             raise stage.BadInput(*(line.replace(f"{made}/", "") for line in bad.problems)) from None
         shutil.move(made, folder)

@@ -5,7 +5,8 @@
           --reports build/office/*.report.json --page report.html --report report.report.json
 
 reads   photograph, rendered, group, object, facet, hidden, trusted, depth, legend, materials, scores, comparison,
-        reports; of a pair: photograph, regions, surfaces, camera (of the pair's frame) and those of the right side;
+        reports; posed: the camera in the model's frame; of a pair: photograph, regions, surfaces, camera (of the
+        pair's frame) and those of the right side;
         matches, facets, pose, calibration, orientation, model; poses, photos: of further photographs; what was
         exported. Each may be missing, and so is its section then. Also the textures that materials.json names, and
         plan.mk beside the page: what was left out, and why
@@ -20,13 +21,13 @@ from lib.core import stage
 
 FILES = (
     "photograph group object facet legend depth trusted hidden materials rendered difference scores scorecard "
-    "comparison photograph_right regions regions_right surfaces surfaces_right camera camera_right matches facets pose "
-    "calibration orientation model poses photos gltf mitsuba radiance usd colmap blender"
+    "comparison posed photograph_right regions regions_right surfaces surfaces_right camera camera_right matches "
+    "facets pose calibration orientation model poses photos gltf mitsuba radiance usd colmap blender"
 )
 
 
 def options():
-    parser = stage.parser(__doc__, may_read=FILES, writes="page", refined="model")
+    parser = stage.parser(__doc__, may_read=FILES, writes="page", refined="camera model")
     parser.add_argument("--scene", default="scene", help="its name")
     parser.add_argument("--transfer", type=stage.json_option, help="what scene.yaml says of it")
     parser.add_argument("--reports", nargs="*", default=[])

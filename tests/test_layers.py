@@ -65,6 +65,7 @@ LATE = {
     ("lib.planning.folder", "lib.given.lenses"): "the same",
     ("lib.planning.folder", "lib.given.model"): "the same",
     ("lib.planning.folder", "lib.given.picks"): "the same",
+    ("lib.planning.folder", "lib.given.picks_frame"): "the same",
     ("lib.planning.folder", "lib.given.sight"): "the same",
     ("lib.planning.folder", "lib.given.view"): "the same",
 }

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lib.given import cameras, fspy
+from lib.given import cameras, fspy, picks
 from lib.given import model as models
 from lib.given.model.glb_writer import write_glb
 from lib.planning import scene as scenes
@@ -66,7 +66,7 @@ def test_what_is_missing_is_said(new, given, root):
     (given / "room.obj").write_text(text)
     status, folder, said = new(camera=None)
     assert status == 0 and "missing: lamps: write in scene.yaml which groups emit" in said
-    assert "missing: the pose of the photograph: pick six or more points" in said
+    assert "missing: the pose of the photograph: pick eight or more corners" in said
     assert planned(folder, root).lamps == {}
 
 
@@ -89,6 +89,37 @@ def test_units_and_axes_are_said_and_not_applied(new, given, root):
     assert status == 0 and "perhaps write model: {unit: cm}" in said and "perhaps write model: {up: y}" in said, said
     assert planned(folder, root).model == {}
     assert "# model: {unit: cm}" in (folder / "scene.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    "told, words",
+    [
+        (lambda x, y, z: (100 * x, 100 * z, -100 * y), "read as cm, and"),  # the file's own numbers
+        (lambda x, y, z: (x, y, z), "read as m, z up, and"),  # as Blender shows them
+        (lambda x, y, z: (x, z, -y), "8 of them corners of the model -> pose.csv"),
+    ],
+)
+def test_picks_in_any_unit_and_axes(new, given, root, told, words):
+    """Of a room with y up, in centimetres: pose.csv is in metres of the model's frame, and its unit is written."""
+    turned = {o: [(g, [(100 * x, 100 * z, -100 * y) for x, y, z in c]) for g, c in p] for o, p in EVERYTHING.items()}
+    rooms.write(given / "room.obj", turned)
+    corners = [(x, y, z) for x in (0, 4) for y in (0, 3) for z in (0, 2.5)]
+    rows = [",".join(map(str, (3 * k + 1, 2 * k, *told(*corner), "room"))) for k, corner in enumerate(corners)]
+    (given / "points.csv").write_text("\n".join(["x_px,y_px,X,Y,Z,name", *rows]) + "\n")
+    status, folder, said = new(camera=None, picks="points.csv")
+    assert status == 0 and words in said and "missing: the pose" not in said, said
+    scene = planned(folder, root)
+    assert scene.model == {"unit": "cm"}
+    found = picks.read(folder / "pose.csv")
+    assert np.allclose(found.p, [(x, z, -y) for x, y, z in corners])
+    assert found.names[0] == "room, line 2" and found.q[1].tolist() == [4, 2]
+
+
+def test_picks_off_all_corners_stay_as_they_are(new, given, root):
+    (given / "points.csv").write_text("x_px,y_px,X,Y,Z\n1,2,.3,.4,.5\n3,4,1,.4,.5\n5,6,.3,1,.7\n7,8,.3,.4,1.9\n")
+    status, folder, said = new(camera=None, picks="points.csv")
+    assert status == 0 and "picks: 4 -> pose.csv as they are: few of them are corners of the model" in said, said
+    assert (folder / "pose.csv").read_bytes() == (given / "points.csv").read_bytes()
 
 
 def same(folder, groups=None):

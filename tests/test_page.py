@@ -18,6 +18,7 @@ from tests.helpers.page_parts import climbed, everything, parts_of, texture
 NASTY = '<script>alert("x")</script>&\'"'
 BUFFERS = ("group", "object", "facet", "hidden", "trusted", "depth")
 SECTIONS = {  # title -> whether its data are there
+    "Warnings": lambda p: p.reports,
     "Difference": lambda p: p.photograph is not None and p.rendered is not None,
     "Materials": lambda p: p.materials,
     "How each surface reflects": lambda p: p.materials and p.reports,
@@ -26,7 +27,6 @@ SECTIONS = {  # title -> whether its data are there
     "What each pixel shows": lambda p: any(getattr(p, name) is not None for name in BUFFERS),
     "Convergence": lambda p: p.reports,
     "Time": lambda p: p.reports,
-    "Warnings": lambda p: p.reports,
     "How it was made": lambda p: p.reports or p.plan or p.comparison,
 }
 PARTS = [f.name for f in fields(Parts) if f.name not in ("scene", "linear")]
@@ -81,7 +81,7 @@ def test_everything():
     page = of_parts(parts_of(everything()))
     verdict = page.one("p", "verdict").text
     assert (
-        "agrees with the photograph to 0.70 % of full scale; 2 of 4 groups identified; gamma 2.004 ± 0.003." in verdict
+        "differs from the photograph by 0.70 % of full scale; 2 of 4 groups identified; gamma 2.004 ± 0.003." in verdict
     )
     assert "Against the known truth, reflectances are off by 0.20 % on average." in verdict
     rows = {row[1].split()[0]: row for row in page.section("Materials").one("table").rows()}

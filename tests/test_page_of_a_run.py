@@ -69,7 +69,7 @@ def test_the_head_says_what_the_files_say(page, office):
     assert page.one("h1").text == "office Converged"
     gamma = pm(materials["transfer"]["gamma"], materials["transfer"]["sigma"], 3)
     assert page.one("p", "verdict").text == (
-        f"Re-rendering agrees with the photograph to {percent(scores['rmse'])} of full scale;"
+        f"Re-rendering differs from the photograph by {percent(scores['rmse'])} of full scale;"
         f" {sum(g['identified'] for g in groups)} of {len(groups)} groups identified; gamma {gamma}."
         f" Against the known truth, reflectances are off by {percent(errors['reflectance.mean_relative'])} on average."
     )

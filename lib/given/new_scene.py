@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given import foreign_cameras, foreign_models, image, lenses, sight
+from lib.given import foreign_cameras, foreign_models, image, lenses, picks_frame, sight
 from lib.given import model as models
+from lib.given import picks as picks_
 
 LAMP = re.compile(r"lamp|light|bulb|lumin|leucht|lampe|emit|neon|tube|spot|window|fenster|sky", re.I)
 SUFFIX = {".png": ".png", ".jpg": ".jpg", ".jpeg": ".jpg", ".tif": ".tif", ".tiff": ".tif", ".exr": ".exr"}
@@ -21,10 +23,11 @@ ROOM_M = 60.0  # the longest side of a model that is likely in metres
 DIAGONAL_35 = 43.267  # mm, of the film that EXIF's equivalent focal length is for
 
 
-def make(folder, model, photograph, camera=None, picture=None) -> list[str]:
+def make(folder, model, photograph, camera=None, picture=None, points=None) -> list[str]:
     """Fill an empty folder; returns lines to say, what is missing last.  BadInput: what cannot be used
 
     picture : the photograph's name in COLMAP's reconstruction
+    points : a file as pose.csv, whose X, Y, Z may be in the model's own unit, or as Blender shows them
     """
     suffix = SUFFIX.get(Path(photograph).suffix.lower())
     if suffix is None:
@@ -41,7 +44,8 @@ def make(folder, model, photograph, camera=None, picture=None) -> list[str]:
     said += [f"model: {warning}" for warning in world.warnings]
     lamps = _lamps(world.groups, foreign_models.emitters(files))
     found = foreign_cameras.read(camera, size, picture) if camera else None
-    hints = _unit(world)
+    unit = _unit(world)
+    facts, hints = [], [unit.line] if unit else []
     if found:
         found.write(folder / found.name)
         said.append(f"camera: of {found.kind}, {found.lens}, fx = {found.intrinsics[0]:.1f} px -> {found.name}")
@@ -50,10 +54,16 @@ def make(folder, model, photograph, camera=None, picture=None) -> list[str]:
             if line := sight.unseen(lens, world):
                 said.append(f"camera: {line}")
             hints += _up(found.T)
+    if points:
+        applied, lines = _points(folder / "pose.csv", points, world, unit)
+        said += lines
+        if applied:
+            facts, hints = hints, []
     hfov = _exif_angle(photograph, size)
-    (folder / "scene.yaml").write_text(_yaml(folder.name, world, lamps, hints, hfov), encoding="utf-8")
+    (folder / "scene.yaml").write_text(_yaml(folder.name, world, lamps, facts, hints, hfov), encoding="utf-8")
+    said += [f"written: {fact}" for fact in facts]
     said += [f"perhaps write {hint}" for hint in hints]
-    return said + _missing(lamps, found, hfov)
+    return said + _missing(lamps, bool(points) or bool(found and found.T is not None), bool(found), hfov)
 
 
 def _photograph(path, photograph):
@@ -76,13 +86,36 @@ def _lamps(groups, emitters):
     return [g for g in groups if g in emitters] or [g for g in groups if LAMP.search(g)]
 
 
+def _points(path, points, model, unit):
+    """Write pose.csv in metres of the model's frame. (Is the model's likely unit written, too?, lines to say)
+
+    unit : _Unit or None
+    """
+    told = picks_.read(points).p
+    found = picks_frame.reading(told, model.scaled(unit.metres if unit else 1.0))
+    if found is None or (len(told) and found.corners == 0):
+        path.write_bytes(Path(points).read_bytes())
+        return False, [f"picks: {len(told)} -> pose.csv as they are: few of them are corners of the model"]
+    picks_.write_with(path, points, found.metres(told))
+    said = "" if found[:2] == ("m", "X,Y,Z") else f", read as {found.words}, and written in metres of the model's frame"
+    return unit is not None, [f"picks: {len(told)}, {found.corners} of them corners of the model{said} -> pose.csv"]
+
+
+class _Unit(NamedTuple):
+    """The unit in which a model is likely drawn. line : of scene.yaml"""
+
+    metres: float
+    line: str
+
+
 def _unit(model):
+    """_Unit, None where metres are likely."""
     longest = float(np.ptp(model.vertices[np.unique(model.triangles)], axis=0).max())
     if longest <= ROOM_M:
-        return []
+        return None
     unit, factor = next((u, f) for u, f in (("cm", 0.01), ("mm", 0.001)) if longest * f <= ROOM_M or u == "mm")
     why = f"it is {longest:.4g} long, which would be {longest * factor:.3g} m; the camera is read in metres"
-    return [f"model: {{unit: {unit}}}    # {why}"]
+    return _Unit(factor, f"model: {{unit: {unit}}}    # {why}")
 
 
 def _up(T):
@@ -111,7 +144,7 @@ def _word(name):
     return name if plain else json.dumps(name, ensure_ascii=False)
 
 
-def _yaml(name, model, lamps, hints, hfov):
+def _yaml(name, model, lamps, facts, hints, hfov):
     values = ", ".join(f"{_word(g)}: unknown" for g in lamps)
     told = next((g for g in model.groups if g not in lamps), "wall")
     lines = [
@@ -124,6 +157,7 @@ def _yaml(name, model, lamps, hints, hfov):
         f"# reference: {{{_word(told)}: [0.8, 0.8, 0.8]}}",
         "# The camera's curve; auto takes the simplest of gamma, srgb, curve that fits",
         "# transfer: auto",
+        *facts,
         *hints,
         "# Without another pose: where the camera stands and looks, in the model's metres",
         f"# camera: {{eye: [0, 0, 1.6], at: [1, 0, 1.2], up: [0, 0, 1], hfov_deg: {hfov or 65:.0f}}}",
@@ -131,15 +165,16 @@ def _yaml(name, model, lamps, hints, hfov):
     return "\n".join(f"# {line}" if line in hints else line for line in lines) + "\n"
 
 
-def _missing(lamps, found, hfov):
+def _missing(lamps, posed, lens, hfov):
+    """posed, lens : is the pose told; is there a file of the lens"""
     lines = []
     if not lamps:
         lines.append("missing: lamps: write in scene.yaml which groups emit")
-    if found is None or found.T is None:
-        what = "" if found is None else ": the file tells the lens alone"
+    if not posed:
+        what = ": the file tells the lens alone" if lens else ""
         lines.append(
-            f"missing: the pose of the photograph{what}: pick six or more points, in several depths, as pose.csv "
-            "(x_px,y_px,X,Y,Z), or write camera: in scene.yaml"
+            f"missing: the pose of the photograph{what}: pick eight or more corners of the model, in several "
+            "depths, as PICKS=points.csv or pose.csv (x_px,y_px,X,Y,Z), or write camera: in scene.yaml"
         )
         if hfov:
             lines.append(f"EXIF says {hfov:.0f} degrees across: a start for hfov_deg")

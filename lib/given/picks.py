@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -57,6 +56,16 @@ def read(points=None, lines=None) -> Picks:
     return Picks(q[:, :2], q[:, 2:], sigma, names, ends, p_ends, sigma_ends, line_names)
 
 
+def write_with(path, points, p):
+    """The points of a file as another one, with other X, Y, Z. p : (n, 3) m"""
+    header, rows = _rows(points)
+    for (_, row), place in zip(rows, p, strict=True):
+        for name, value in zip(POINT[2:], place, strict=True):
+            row[header.index(name)] = f"{value:.9g}"
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([header, *(row for _, row in rows)])
+
+
 def _table(path, columns):
     """(values (n, k), sigma (n,), names) of a file with these columns, in any order, and perhaps more."""
     header, rows = _rows(path)
@@ -78,9 +87,8 @@ def _table(path, columns):
         if not sigma[-1] > 0:
             raise BadInput(f"{where}: sigma_px: {cell['sigma_px']!r} is not positive")
         names.append(cell.get("name") or f"line {line}")
-    twice = [name for name, after in pairwise(sorted(names)) if name == after]
-    if twice:
-        raise BadInput(f"{path}: name: {twice[0]!r} stands there twice")
+    # several corners of one thing may bear its name
+    names = [name if names.count(name) == 1 else f"{name}, line {k}" for name, (k, _) in zip(names, rows, strict=True)]
     return np.array(values, float).reshape(-1, len(columns)), np.array(sigma), tuple(names)
 
 

@@ -61,6 +61,7 @@ def inspect(scene, files) -> list[str]:
         lenses,
         materials,
         picks,
+        picks_frame,
         sight,
     )  # NumPy: a plan whose files were found good does without
     from lib.given import model as models
@@ -85,12 +86,15 @@ def inspect(scene, files) -> list[str]:
             except BadInput as bad:
                 problems += bad.problems
     picked = [scene.given(file) if file in files else None for file in PICKED]
+    metres = METRES[scene.fact("unit")]
     if any(picked):
+        where = next(filter(None, picked))
         try:
             told = picks.read(*picked)
             if (n := len(told.p) + len(told.ends)) < picks.LEAST:
-                where = next(filter(None, picked))
                 problems.append(f"{where}: {n} picked place{'s' * (n != 1)}: at least {picks.LEAST} are needed")
+            elif MODEL in found and (line := picks_frame.otherwise(told.p, found[MODEL].scaled(metres))):
+                problems.append(f"{where}: {line}")
         except BadInput as bad:
             problems += bad.problems
     for camera, side in cameras.items():
@@ -103,7 +107,7 @@ def inspect(scene, files) -> list[str]:
         problems += _unknown_groups(scene, found[MODEL].groups)
         problems += _object_names(scene, found[MODEL].objects)
     posed = found.get("left.posed.cameramodel")
-    if posed and MODEL in found and (line := sight.unseen(posed, found[MODEL].scaled(METRES[scene.fact("unit")]))):
+    if posed and MODEL in found and (line := sight.unseen(posed, found[MODEL].scaled(metres))):
         problems.append(f"{scene.given('left.posed.cameramodel')}: {line}")
     if PHOTOGRAPH in found and found[PHOTOGRAPH].values.shape[2] == 1:
         problems += _coloured(scene)

@@ -66,6 +66,9 @@ def summary(build, title, page, began, stages) -> str:
     if isinstance(groups, dict) and groups:
         known = sum(bool(isinstance(g, dict) and g.get("identified")) for g in groups.values())
         words.append(f"{known} of {len(groups)} materials")
+    if "check" in stages:
+        doubts = sum(bool(f.get("doubt")) for f in _read(build / "check.json").get("findings", []))
+        words.append(f"{doubts} doubt{'s' * (doubts != 1)}")
     warnings = sum(len(r.get("warnings", [])) for r in reports)
     words.append(f"{warnings} warning{'s' * (warnings != 1)}")
     words.append(f"{time.time() - began:.0f} s")

@@ -105,6 +105,15 @@ class FurtherPhotographs:
 
 
 @dataclass(frozen=True)
+class PickedPlace:
+    """px : from where the camera sees it, None behind it"""
+
+    name: str = told(word(), needed="a name")
+    px: float | None = told(number())
+    outlier: bool = told(flag, needed="true or false")
+
+
+@dataclass(frozen=True)
 class Pose:
     """pose.json. rt_cam_world : Rodrigues vector and metres;  covariance : (6, 6) of (omega, tau), rad and m
 
@@ -120,6 +129,7 @@ class Pose:
     ambiguous: list = told(items, list)
     status: str | None = told(word(), absent=True)
     objects: dict = table_of(ObjectPose, absent=True)
+    residuals: list = list_of(PickedPlace)
 
     @property
     def others(self):

@@ -107,10 +107,13 @@ def sane(text) -> Page:
     for element in page.all():
         for name, value in element.attributes.items():
             own = element.tag == "a" and value.startswith(("exports/", "augmented."))  # beside it
+            own = own or (element.tag == "a" and name == "href" and value[:1] == "#" and page.all(id=value[1:]))
             assert name not in ADDRESSES or own or value.startswith("data:"), (element.tag, name, value[:80])
             assert not name.startswith("on"), (element.tag, name)
             if name in NUMBERS:
                 assert not re.search(r"nan|inf", value, re.IGNORECASE), (element.tag, name, value)
+    assert all(image.attributes.get("alt") for image in page.all("img")), "a picture without words"
+    assert all(head.text for head in page.all("th")), "a head of a table without words"
     assert not page.all("link") + page.all("object") + page.all("embed") + page.all("base")
     for frame in page.all("iframe"):  # a page within the page
         assert frame.attributes["srcdoc"] and frame.attributes["sandbox"] == "allow-scripts", frame.attributes.keys()

@@ -221,6 +221,13 @@ MISTAKES = {
         both(removed(CAMERA), written("pose.csv", "x_px;y_px;X;Y;Z\n1;2;0;0;0\n")),
         "pose.csv: header: 'x_px;y_px;X;Y;Z' is parted by semicolons: use commas, and a point for decimals",
     ),
+    "picked points in centimetres": (
+        both(
+            removed(CAMERA),
+            written("pose.csv", "x_px,y_px,X,Y,Z\n1,2,400,0,0\n3,4,400,300,0\n5,6,400,300,250\n9,8,400,0,250\n"),
+        ),
+        "pose.csv: X,Y,Z: as metres of the model's frame few are corners of the model; 4 of 4 are if they are in cm",
+    ),
     # ---- the model
     "model not there": (removed("model.obj"), "needs model.obj or model.glb"),
     "room.obj": (renamed("model.obj", "room.obj"), "room.obj: is not read: rename it to model.obj"),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from lib.verdict.page import changed, exports, further, ladder, photometry, running, summary, vision
+import re
+
+from lib.verdict.page import changed, exports, further, ladder, photometry, placed, running, summary, vision
 from lib.verdict.page.html import asset, render, sentence
 from lib.verdict.page.parts import Parts
 
 LIMIT_BYTES = 6_000_000
+TITLE = re.compile(r'<section id="([^"]+)"><h2>(.*?)</h2>')
 WIDTHS_PX = (1600, 1280, 960, 720, 480, 320)  # of the pictures; tried in this order until the page is small enough
 
 
@@ -22,6 +25,7 @@ def page(parts: Parts, limit_bytes=LIMIT_BYTES) -> str:
 def _page(parts: Parts, width):
     about = summary.about(parts)
     sections = [
+        running.warnings_section(parts),
         summary.hero(parts, width),
         changed.changed_section(parts, width),
         photometry.difference_section(parts, width),
@@ -30,12 +34,12 @@ def _page(parts: Parts, width):
         photometry.light_section(parts),
         photometry.models_section(parts),
         *(vision.sections(parts.vision, width) if parts.vision else ()),
+        placed.placed_section(parts.placed, parts.photograph, min(width, 960)),
         further.further_section(parts.further, width),
         photometry.buffers_section(parts, width),
         exports.exports_section(parts),
         running.convergence_section(parts),
         running.times_section(parts),
-        running.warnings_section(parts),
         running.made_section(parts),
     ]
     return render(
@@ -45,6 +49,8 @@ def _page(parts: Parts, width):
         about=about,
         About=sentence(about),
         verdict=summary.verdict(parts),
+        warnings=sum(len(report.warnings) for report in parts.reports.values()),
+        contents=[found for section in sections for found in TITLE.findall(section)],
         sections=sections,
         style=asset("page.css"),
         script=asset("page.js"),

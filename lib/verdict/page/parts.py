@@ -14,6 +14,7 @@ from lib.given import cameras, image, materials, model
 from lib.verdict import records, stage_reports
 from lib.verdict.comparison import Comparison
 from lib.verdict.page import further
+from lib.verdict.page.placed import Placed, place
 from lib.verdict.page.vision import SIDES, Vision, see
 from lib.vision import facets_file
 from lib.vision.matches import read_matches
@@ -40,6 +41,7 @@ class Parts:
     thumbnails : {group: {facet: ladder.Thumbnail}}
     changed : [Changed], the entries of `augment`;  further : [further.Shown], of photos/
     exports : {kind: its file, as the page names it};  view : the HTML of the exported scene in space
+    placed : the model over the photograph, where there is but one
     """
 
     scene: str = "scene"
@@ -64,6 +66,7 @@ class Parts:
     further: list = field(default_factory=list)
     exports: dict = field(default_factory=dict)
     view: str | None = None
+    placed: Placed | None = None
 
     @property
     def groups(self):
@@ -120,8 +123,22 @@ def read(files, scene, reports, page, changed=()) -> Parts:
         vision=_read_vision(files),
         changed=[_changed(page, Path(path)) for path in changed],
         further=_read_further(files),
+        placed=_read_placed(files),
         exports={kind: _beside(page, files[kind]) for kind in EXPORTS if files[kind]},
     )
+
+
+def _read_placed(files):
+    """The model over the one photograph; None of a pair, which shows it after each step."""
+    if _is_vision(files) or not (files["posed"] and files["model"]):
+        return None
+    pose = record.read(files["pose"], records.Pose) if files["pose"] else None
+    return place(cameras.read_cameramodel(files["posed"]), model.load(files["model"]), pose)
+
+
+def _is_vision(files):
+    """Is there anything of the vision half? A pose alone is one that a person told."""
+    return any(files[name] for name in ("regions", "facets", "calibration", "photograph_right"))
 
 
 def _read_further(files):
@@ -150,7 +167,7 @@ def left_out(plan):
 
 def _read_vision(files):
     """What there is of the vision half, or None."""
-    if not any(files[name] for name in ("regions", "facets", "pose", "calibration")):
+    if not _is_vision(files):
         return None
 
     def pair(name, reader):

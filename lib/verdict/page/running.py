@@ -105,7 +105,7 @@ def _time_row(stage, report, labels, longest):
         peak_mb=round(report.peak_mb) if finite(report.peak_mb) else None,
         share=(report.cpu_s or 0) / longest,
         status=report.status or "–",
-        kind={"converged": "good", "complete": "plain"}.get(report.status, "warn"),
+        kind={"converged": "good", "unique": "good", "good": "good", "complete": "plain"}.get(report.status, "warn"),
     )
 
 
@@ -123,7 +123,8 @@ def made_section(parts: Parts):
     if not parts.reports and not parts.plan and not parts.compared.errors:
         return ""
     errors = [(stage, error) for stage, report in parts.reports.items() for error in report.errors]
-    errors += [(error.stage or "", error) for error in parts.compared.errors]
+    said = {(stage, error.name) for stage, error in errors}  # what a stage said itself is not said again
+    errors += [(e.stage or "", e) for e in parts.compared.errors if (e.stage or "", e.name) not in said]
     return render("made.html", errors=errors, stages=_stages(parts), left_out=parts.plan)
 
 

@@ -74,7 +74,7 @@ def _badge(status, weak):
         return "bad", "Does not fit"
     if status == "not converged" or weak:
         return "warn", "Not converged"
-    if status in ("converged", "complete"):
+    if status in ("converged", "complete", "unique"):
         return "good", status.capitalize()
     return ("bad", status.capitalize()) if status else ("warn", "Nothing to report")
 
@@ -94,8 +94,8 @@ def _photometry(parts: Parts):
     if parts.materials and parts.materials.status == "nothing seen":
         said.append("No pixel of the photograph can be used: nothing below is a finding")
     elif rmse is not None:
-        subject = "Re-rendering agrees" if parts.scores else "Fitted light agrees"
-        said.append(f"{subject} with the photograph to {percent(rmse)} of full scale")
+        subject = "Re-rendering differs" if parts.scores else "Fitted light differs"
+        said.append(f"{subject} from the photograph by {percent(rmse)} of full scale")
     if every := len(parts.groups):
         said.append(f"{_identified(parts)} of {every} {plural(every, 'group')} identified")
     if other := ladder.counts(parts.materials):
@@ -165,7 +165,7 @@ def facts(parts: Parts):
     found = []
     rmse, where = agreement(parts)
     if rmse is not None:
-        found.append(Fact("Agreement with the photograph", percent(rmse), f"RMSE of display values over {where}"))
+        found.append(Fact("Difference to the photograph", percent(rmse), f"RMSE of display values over {where}"))
     if parts.scores and finite(parts.scores.ciede2000):
         note = "CIEDE2000, mean; about 1 is just noticeable"
         found.append(Fact("Colour difference", number(parts.scores.ciede2000, 2), note))

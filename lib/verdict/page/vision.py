@@ -350,8 +350,8 @@ def pose_sigma(pose: records.Pose | None):
     return PoseSigma(float(np.degrees(np.linalg.norm(s[:3]))), float(1000 * np.linalg.norm(s[3:])))
 
 
-def wires(model, cameras, pose: records.Pose, most=6):
-    """[Wire]: the trace of a pose as wireframes; of a long one the first three, the last and some between.
+def wires(model, cameras, pose: records.Pose, most=3):
+    """[Wire]: the trace of a pose as wireframes; of a long one the first, the last and one between.
 
     cameras : {side: Camera} in the pair's frame
     """
@@ -359,7 +359,7 @@ def wires(model, cameras, pose: records.Pose, most=6):
     if not steps or steps[-1].rt_cam_world != pose.rt_cam_world:
         steps.append(records.PoseStep(step="result", rt_cam_world=pose.rt_cam_world))
     last = len(steps) - 1
-    keep = {*range(min(3, last)), *(round(i) for i in np.linspace(min(3, last), last, most - 3))}
+    keep = {round(i) for i in np.linspace(0, last, most)}
     result = []
     for i in sorted(keep):
         (left, seen), (right, seen_right) = (_wireframe(model, cameras, side, steps[i], pose) for side in SIDES)
