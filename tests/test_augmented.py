@@ -100,9 +100,16 @@ def test_twice_the_lamp_is_twice_the_light(scene):
 
 
 def test_a_lamp_switched_off_is_night(scene):
-    off = made(scene, lamps={"lamp": [0, 0, 0]})
-    rest = np.abs(off.linear - (photograph(scene) / 255) ** GAMMA + rendered(scene))
-    assert np.median(rest) < 0.003  # what the rendering did not explain is all that is left
+    assert made(scene, lamps={"lamp": [0, 0, 0]}).linear.max() < 1e-6
+
+
+def test_half_the_lamp_is_half_the_grain(scene):
+    """What the rendering did not explain shrinks with the light that falls on it, and stays where there is more."""
+    beyond = (photograph(scene) / 255) ** GAMMA - rendered(scene)
+    seen = (np.abs(beyond) > 0.01) & (photograph(scene).max(axis=2, keepdims=True) < 255)
+    for times, kept in ((0.5, 0.5), (2, 1)):
+        left = made(scene, lamps={"lamp": [9 * times] * 3}).linear - times * rendered(scene)
+        assert seen.sum() > 50 and abs(np.median((left / beyond)[seen]) - kept) < 0.02
 
 
 def test_of_a_lamp_switched_off_nothing_is_left(tmp_path):

@@ -1,5 +1,8 @@
 """A photograph with a change: photograph + (with - without), in linear light (Debevec 1998, differential rendering).
 
+What the photograph has beyond its rendering (grain, a stain, an edge half a pixel aside) is paint that the light falls
+on: where the light becomes less, that becomes less with it. Where it becomes more it stays, since noise would grow.
+
     pair = renderings(recovered, changed, quality)
     linear, copied = composed(photograph, pair, transfer)
 
@@ -342,7 +345,8 @@ def composed(photograph, pair: Pair, transfer):
     """
     values = photograph.values
     light = values if photograph.linear else _light_of(values, pair.before, transfer)
-    out = np.maximum(pair.after + (1 - pair.new) * (light - pair.before), 0)
+    kept = np.where(pair.after < pair.before, pair.after / np.maximum(pair.before, 1e-300), 1)
+    out = np.maximum(pair.after + (1 - pair.new) * kept * (light - pair.before), 0)
     if photograph.linear:
         return out, (out == light).all(axis=2)
     step = 1 / (65535 if photograph.bits == 16 else 255)
