@@ -69,7 +69,7 @@ class Point(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """part, name, law : for people;  axis : of numbers, else "";  at : places;  short : positions of those always asked"""
+    """part, name, law : for people;  axis : of numbers, else "";  at : places;  short : positions of the first asked"""
 
     part: str
     name: str
