@@ -1,4 +1,4 @@
-"""Inverse problems that are made: a lamp, six patches with a cube's exact factors, tiles that see them in random shares.
+"""Inverse problems that are made: a lamp, six patches with a cube's exact factors, tiles that see them at random.
 
 The photograph is the model's own light, so the right answer is known to rounding.
 """

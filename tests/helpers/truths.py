@@ -109,7 +109,7 @@ def direction(theta, phi):
 
 
 def radiance_rows():
-    """[(rho, alpha, i (3,), o (3,), Radiance's value, that of Ward 1992, of the bounded form)], data/brdf-ward-radiance."""
+    """[(rho, alpha, i (3,), o (3,), Radiance's value, Ward's of 1992, the bounded form's)]."""
     with open(ROOT / "data/brdf-ward-radiance/ward_brdf_radiance.csv", newline="") as file:
         rows = [[float(x) for x in list(row.values())[1:]] for row in csv.DictReader(file)]
     return [(r[0], r[1], direction(r[2], 0), direction(r[3], r[4]), *r[5:]) for r in rows]

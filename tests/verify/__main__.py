@@ -66,7 +66,8 @@ def line(walk, point):
     place = f"{point.place:g}" if isinstance(point.place, float) else str(point.place)
     words = f"  {'ok    ' if f.holds else 'BROKEN'} {walk.name}, {place}"
     numbers = f"{number(f.value):>13} {number(f.truth):>13} {f.error:9.1e} <= {f.bound:7.1e}"
-    return f"{words:<62.62}{numbers} {'' if f.iterations is None else f.iterations:>5} {point.cpu_s:6.2f} s  {f.note}".rstrip()
+    steps = "" if f.iterations is None else f.iterations
+    return f"{words:<62.62}{numbers} {steps:>5} {point.cpu_s:6.2f} s  {f.note}".rstrip()
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 
-from lib.analysis.problem import BALANCED
 from lib.light import adapt, form_factors, radiosity
 from lib.light import balance as balance_
 from lib.light import lamps as lamps_
@@ -172,7 +171,7 @@ def residual(loss):
     true = np.linalg.norm(source + rho * A @ found.b - found.b) / np.linalg.norm(source)
     told = abs(true - found.residual) <= 0.1 * true + 1e-6
     error = float(np.abs(found.b - exact).max() / np.abs(exact).max())
-    if found.residual > BALANCED:  # then fit and render are not converged, and say so
+    if balance_.unsolved(found.residual):  # then fit and render are not converged, and say so
         return Found(true, found.residual, 0.0 if told else 1.0, 0.0, found.iterations, "told not to be solved")
     bound = 30 * max(found.residual, 1e-6) / loss if told else 0.0
     return Found(true, found.residual, error, bound, found.iterations, "value, truth: residual found, residual told")

@@ -11,7 +11,8 @@ from lib.verdict.page import html, plots
 STYLE = """
 main { max-width: 1080px; margin: 0 auto; padding: 1rem }
 .walk { display: flex; flex-wrap: wrap; gap: 1.5rem; align-items: flex-start }
-.walk table { flex: 1 1 480px } td, th { padding: .1rem .6rem; text-align: right } td:first-child, td:last-child { text-align: left }
+.walk table { flex: 1 1 480px } td, th { padding: .1rem .6rem; text-align: right }
+td:first-child, td:last-child { text-align: left }
 .broken td { background: #c0392b; color: white } .law { opacity: .75 } h3 { margin-bottom: 0 }
 """
 COLUMNS = ("place", "value", "truth", "error", "bound", "iterations", "CPU s", "")
