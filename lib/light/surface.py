@@ -75,8 +75,8 @@ class Surface:
 def surface(model, lamps=(), like=None) -> Surface:
     """Facet frames, solids and ray casters. lamps: names of the groups that emit.
 
-    like : Surface of a model of which this one is a change (lib/given/model/changes.py): local coordinates are the
-        same, and facets that are no longer there keep their frames
+    like : Surface of a model of which this one is a change (lib/given/model/changes.py): local coordinates and frames
+        are the same, also of facets that are no longer there
     The last few are kept: several steps of a stage ask for the same.
     """
     lamps = tuple(name for name in lamps if name in model.groups)
@@ -91,7 +91,7 @@ def surface(model, lamps=(), like=None) -> Surface:
 def _surface(model, lamps, like) -> Surface:
     local = Local.of(model) if like is None else like.local
     corners = local.points(model.vertices)[model.triangles]
-    middle = extent.middle(corners.reshape(-1, 3))
+    middle = extent.middle(corners.reshape(-1, 3)) if like is None else like.middle
     corners = _begun(corners, middle)
     facet = np.array(model.triangle_facet, np.int32)  # copies: kernels would be compiled again for read-only arrays
     normal = np.rint(np.array(model.facet_normal, float) * GRID) / GRID  # as local coordinates
