@@ -10,7 +10,6 @@ Everything goes into a table on the terminal and into a page with curves. Exit s
 import argparse
 import os
 import sys
-import time
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -29,13 +28,13 @@ def options():
 
 def main(opt):
     from tests.verify import page
-    from tests.verify.walks import every
+    from tests.verify.walks import cpu_s, every
 
     walks = [w for w in every() if not opt.parts or any(w.part.startswith(part) for part in opt.parts)]
     if not walks:
         print(f"verify: no part begins with {' or '.join(opt.parts)}", file=sys.stderr)
         return 2
-    began, results, broken, count, part = time.process_time(), [], 0, 0, None
+    began, results, broken, count, part = cpu_s(), [], 0, 0, None
     for walk in walks:
         places = walk.places(opt.long)
         if not places:
@@ -51,11 +50,11 @@ def main(opt):
         results.append((walk, points))
         count += len(points)
         broken += sum(not p.found.holds for p in points)
-    cpu_s = time.process_time() - began
+    spent = cpu_s() - began
     opt.page.parent.mkdir(parents=True, exist_ok=True)
-    page.write(opt.page, results, cpu_s)
+    page.write(opt.page, results, spent)
     held = f"{count - broken} of {count} hold" if broken else f"all {count} hold"
-    print(f"\nverify: {held}, {cpu_s:.0f} CPU s: file://{opt.page.resolve()}")
+    print(f"\nverify: {held}, {spent:.0f} CPU s: file://{opt.page.resolve()}")
     return 1 if broken else 0
 
 

@@ -10,10 +10,10 @@ from lib.verdict.page import html, plots
 
 STYLE = """
 main { max-width: 1080px; margin: 0 auto; padding: 1rem }
-.walk { display: flex; flex-wrap: wrap; gap: 1.5rem; align-items: flex-start }
-.walk table { flex: 1 1 480px } td, th { padding: .1rem .6rem; text-align: right }
+.walk { display: flex; flex-wrap: wrap; gap: 1.5rem; align-items: flex-start; margin-bottom: 1.5rem }
+.walk table { flex: 1 1 480px; width: auto } .walk > div { flex: 0 0 420px } td, th { padding: .1rem .6rem; text-align: right }
 td:first-child, td:last-child { text-align: left }
-.broken td { background: #c0392b; color: white } .law { opacity: .75 } h3 { margin-bottom: 0 }
+.broken td { background: #c0392b; color: white } .law { opacity: .75 } h2 { margin-top: 2rem } h3, .law { margin: 0 }
 """
 COLUMNS = ("place", "value", "truth", "error", "bound", "iterations", "CPU s", "")
 
@@ -74,4 +74,5 @@ def _curve(walk, points):
         plots.Series("error", x, [p.found.error for p in points], "a"),
         plots.Series("bound", x, [p.found.bound for p in points], "b"),
     ]
-    return plots.plot(series, x=walk.axis, y="error", title=walk.name, logx=wide, logy=True, width=420, height=260)
+    curve = plots.plot(series, x=walk.axis, y="error", title=walk.name, logx=wide, logy=True, width=420, height=260)
+    return f"<div>{curve}</div>"
