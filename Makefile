@@ -19,7 +19,7 @@ PYTHON := .venv/bin/python
 PYTHON3 ?= python3
 INSTALL := -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r
 
-TARGETS := all plan new-scene check lint test test-slow bench scenes doctor help clean setup demo
+TARGETS := all plan new-scene check lint test test-slow verify verify-long bench scenes doctor help clean setup demo
 GOALS := $(or $(MAKECMDGOALS),demo)
 # Make takes ':' in a name for a rule, and blanks for two names
 define scenes
@@ -68,6 +68,13 @@ test: lint
 test-slow: setup
 	NUMBA_NUM_THREADS=2 $(TESTS) -m slow
 
+# Laws and closed forms, as a table and a page; which hold is the exit status.  Some seconds of kernels, then 90 at most
+verify: setup
+	@$(PYTHON) -m tests.verify
+
+verify-long: setup
+	@$(PYTHON) -m tests.verify --long
+
 lint: setup
 	@$(PYTHON) -m ruff check --quiet
 	@$(PYTHON) -m ruff format --check --quiet
@@ -105,6 +112,7 @@ help:
 	  'make V=1 <scene>        shows the command lines, which also lie in $(BUILD)/<scene>/commands' \
 	  'make check              lint and every quick test: two minutes' \
 	  'make test               all tests but the slow ones;  make test-slow: those' \
+	  'make verify             laws and closed forms, towards stiff cases: a table and a page;  make verify-long: all of them' \
 	  'make bench              error against run time, as CSV and plots' \
 	  'make doctor             what is installed, and what to do about what is not' \
 	  'make scenes             make the synthetic scenes again (installs Mitsuba in .venv-scenes)' \

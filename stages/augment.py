@@ -49,6 +49,7 @@ def main(opt):
             import OpenEXR  # noqa: F401
             import scipy.sparse.csgraph  # noqa: F401
 
+            from lib.light.balance import unsolved
             from lib.picture import augmented, rendering
             from lib.picture import subject as subjects
 
@@ -62,13 +63,17 @@ def main(opt):
             scene = augmented.read(opt.entry, files, n_rays=opt.patch_rays)
         how = {"timing": report.timing}
         if "cameras" in opt.entry:
-            report["frames"] = augmented.sequence(scene, quality, opt.frames, opt.preview, stage.Bar("frames"), **how)
+            facts = augmented.sequence(scene, quality, opt.frames, opt.preview, stage.Bar("frames"), **how)
         else:
             made = augmented.picture(scene, quality, **how)
-            for key, value in made.facts.items():
-                report[key] = value
+            facts = made.facts
             with report.timing("write"):
                 augmented.write(made, opt.picture, opt.exr)
+        for key, value in facts.items():
+            report[key] = value
+        if line := unsolved(facts["residual"]):
+            report.status = "not converged"
+            report.warning(line)
         for text in scene.warnings:
             report.warning(text)
 

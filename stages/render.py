@@ -60,6 +60,7 @@ def main(opt):
             import numpy as np
             import OpenEXR  # noqa: F401
 
+            from lib.light.balance import unsolved
             from lib.picture import display, phong, rendering
             from lib.picture import subject as subjects
 
@@ -74,6 +75,9 @@ def main(opt):
 
         quality = subjects.Quality(opt.rays, opt.shadow_rays, opt.contact, opt.tolerance, opt.lobe_rays)
         picture = rendering.render(subject, quality, timing=report.timing, trace=report.trace)
+        if line := unsolved(picture.light.residual):
+            report.status = "not converged"
+            report.warning(line)
         report.error("flux", picture.light.imbalance, unit="1", against="emitted = absorbed + escaped, patches")
         with report.timing("scores"):
             shown, wanted = subject.show(subject.through_lens(picture.linear)), subject.wanted

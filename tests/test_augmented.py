@@ -258,7 +258,7 @@ def test_a_sequence_has_its_frames_and_a_film(scene, tmp_path):
     way.write_text("eye_x,eye_y,eye_z,at_x,at_y,at_z\n0.4,0.4,1.6,3,2.2,0.6\n0.8,0.4,1.6,3,2.2,0.6\n")
     read = augmented.read({"name": "x", "cameras": str(way), "frames": 3}, scene)
     shares = []
-    count = augmented.sequence(read, QUALITY, tmp_path / "frames", tmp_path / "x.mp4", shares.append)
+    count = augmented.sequence(read, QUALITY, tmp_path / "frames", tmp_path / "x.mp4", shares.append)["frames"]
     assert count == 3 and shares == [1 / 3, 2 / 3, 1]
     assert [p.name for p in sorted((tmp_path / "frames").iterdir())] == ["0001.png", "0002.png", "0003.png"]
     first = image.read_photograph(tmp_path / "frames" / "0001.png").values

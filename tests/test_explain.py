@@ -14,7 +14,7 @@ from lib.analysis.problem import Halves
 from lib.given import jpeg
 from lib.given.falloff import Lens
 from lib.given.transfer import Transfer
-from tests.test_fit import COLOURS, made
+from tests.helpers.made_problems import COLOURS, made
 
 SIZE = 120, 90
 LENS = Lens(((SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2), SIZE)

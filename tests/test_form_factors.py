@@ -17,43 +17,13 @@ from lib.light import adapt, exact_factors, form_factors, hemicube, radiosity, s
 from lib.light import lamps as lamps_
 from lib.light.factors_file import FormFactors
 from tests.helpers import rooms
-
-SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
-
-
-def facing(size, distance):
-    return SQUARE * size, (SQUARE * size)[::-1] + [0, 0, distance]
-
-
-def corner(height, width, length):
-    """A floor, width x length, and a wall on its edge of the given length."""
-    floor = SQUARE * [length, width, 0]
-    return floor, np.array([[0, 0, 0], [0, 0, height], [length, 0, height], [length, 0, 0.0]])
-
-
-def disk(n, z=0.0, up=True):
-    """A regular n-gon of the area of the unit disk."""
-    a = np.arange(n) * 2 * np.pi / n
-    radius = np.sqrt(np.pi / (n / 2 * np.sin(2 * np.pi / n)))
-    p = np.column_stack([radius * np.cos(a), radius * np.sin(a), np.full(n, z)])
-    return p if up else p[::-1]
+from tests.helpers.truths import CLOSED, DISKS, OCCLUDED, SQUARE, corner, disk, facing
 
 
 def rotation(seed):
     q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     q *= np.sign(np.diag(r))
     return q * np.linalg.det(q)
-
-
-CLOSED = [
-    (*facing(1, 1), 0.19982489569838746),
-    (*facing(1, 0.5), 0.41525328357714675),
-    (*facing(1, 2), 0.0685895888185526),
-    (*facing(10, 1), 0.8269945223972565),
-    (*corner(1, 1, 1), 0.20004377607540316),
-    (*corner(1, 2, 1), 0.11642630139768095),
-    (*corner(2, 1, 1), 0.2328526027953619),
-]
 
 
 # ---- analytic: closed forms ----
@@ -75,9 +45,7 @@ def test_polygons_in_closed_form(P, Q, expected):
 @pytest.mark.parametrize("n, bound", [(64, 1e-7), (128, 1e-8), (256, 1e-9)])
 def test_disks_as_polygons(n, bound):
     """Coaxial unit disks: (3 - sqrt 5) / 2; n-gons of equal area differ by the shape of their rim alone."""
-    assert exact_factors.polygon_to_polygon(disk(n), disk(n, 1, up=False)) == pytest.approx(
-        (3 - np.sqrt(5)) / 2, abs=bound
-    )
+    assert exact_factors.polygon_to_polygon(disk(n), disk(n, 1, up=False)) == pytest.approx(DISKS, abs=bound)
 
 
 @pytest.mark.parametrize("angle", [1e-3, 0.3, 1.0, 2.0, 3.0, np.pi - 1e-3])
@@ -322,9 +290,7 @@ def test_hemicube_refuses(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("method", ["rays", "hemicube"])
-@pytest.mark.parametrize(
-    "side, expected", [(0.25, 0.169474204911787), (0.5, 0.099506294598985), (0.75, 0.029483544914760)]
-)
+@pytest.mark.parametrize("side, expected", OCCLUDED.items())
 def test_occluder(tmp_path, method, side, expected):
     """Parallel unit squares with an opaque square half way (docs/design.md, Answers in closed form)."""
     low, high = 0.5 - side / 2, 0.5 + side / 2

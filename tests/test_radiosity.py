@@ -5,6 +5,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from lib.light import radiosity
+from tests.helpers.truths import CUBE, CUBES, closed_box
 
 METHODS = [dict(method=m) for m in radiosity.METHODS] + [
     dict(method="progressive", overshoot=True),
@@ -17,22 +18,6 @@ every_store = pytest.mark.parametrize(
     [np.asarray, np.float32, csr_array, lambda F: csr_array(np.float32(F))],
     ids=["float64", "float32", "csr64", "csr32"],
 )
-
-
-def closed_box(n, seed=0, area=False):
-    """F of n patches that see only each other, reciprocal, of unlike areas, rows of sum 1."""
-    rng = np.random.default_rng(seed)
-    S = rng.random((n, n)) ** 3
-    S = S + S.T
-    np.fill_diagonal(S, 0 if n > 1 else 1)
-    A = S.sum(axis=1)  # A_i F_ij = S_ij
-    return (S / A[:, None], A) if area else S / A[:, None]
-
-
-PARALLEL, BESIDE = 0.19982489569838746, 0.20004377607540316
-CUBE = np.full((6, 6), BESIDE)
-CUBE[range(6), range(6)] = 0
-CUBE[[0, 1, 2, 3, 4, 5], [1, 0, 3, 2, 5, 4]] = PARALLEL
 
 
 # ---- by hand ----
@@ -51,17 +36,10 @@ def test_two_patches(how, store):
 
 
 @every_method
-@pytest.mark.parametrize(
-    "rho, expected",
-    [
-        (np.full(6, 0.5), [1.0909091, 0.18174583, 0.18183627, 0.18183627, 0.18183627, 0.18183627]),
-        ([0, 0.8, 0.6, 0.6, 0.3, 0.5], [1, 0.2756062, 0.21418054, 0.21418054, 0.11315525, 0.18173964]),
-    ],
-    ids=["grey", "six"],
-)
+@pytest.mark.parametrize("rho, expected", CUBES, ids=["grey", "six"])
 def test_cube_of_six_patches(how, rho, expected):
     """docs/design.md, Answers in closed form: a cube of one patch per face, one of them E = 1."""
-    s = radiosity.solve(np.eye(6)[0], np.array(rho), CUBE, tolerance=1e-12, **how)
+    s = radiosity.solve(np.eye(6)[0], rho, CUBE, tolerance=1e-12, **how)
     assert np.allclose(s.B, expected, rtol=0, atol=2e-8)
 
 

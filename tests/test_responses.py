@@ -17,7 +17,7 @@ from lib.core.stage import BadInput
 from lib.given import materials, tone_curve
 from lib.given.materials import FoundTransfer, Materials
 from lib.given.transfer import Metric, Transfer, srgb_from_linear
-from tests.test_fit import COLOURS, made
+from tests.helpers.made_problems import COLOURS, made
 
 LIGHT = np.linspace(1e-3, 1, 500)
 

@@ -3,25 +3,16 @@
 And by difference, and at the edge.
 """
 
-import csv
-
 import numpy as np
 import pytest
 from numba import njit
 
 from lib.light import ward
 from lib.light import ward_kernels as kernels
+from tests.helpers.truths import ALBEDOS, ANGLES, direction, radiance_rows
 
 ALPHAS = [(0.3, 0.3), (0.6, 0.2), (0.05, 0.15), (0.1, 0.01)]
 EYES = [(0, 0), (45, 20), (75, 200), (89, 110)]
-
-
-def direction(theta, phi):
-    """Degrees -> (..., 3)"""
-    theta, phi = np.radians(theta), np.radians(phi)
-    return np.stack(
-        np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), axis=-1
-    )
 
 
 def sphere(n, seed, upper=True):
@@ -35,23 +26,13 @@ def sphere(n, seed, upper=True):
 # ---- by hand, by peers ----
 
 
-@pytest.mark.parametrize(
-    "alpha,form,table",
-    [
-        (0.05, kernels.WARD, (0.993, 0.702, 0.259, 0.052)),
-        (0.05, kernels.DUER, (0.995, 0.995, 0.995, 1.373)),
-        (0.05, kernels.BOUNDED, (0.998, 0.996, 0.979, 0.825)),
-        (0.30, kernels.WARD, (0.794, 0.571, 0.280, 0.360)),
-        (0.30, kernels.DUER, (0.856, 0.846, 0.838, 4.295)),
-        (0.30, kernels.BOUNDED, (0.910, 0.864, 0.778, 0.917)),
-    ],
-)
+@pytest.mark.parametrize("alpha,form,table", ALBEDOS)
 def test_albedos_of_the_design(alpha, form, table):
     """docs/design.md, Ward's forms, at 0, 45, 75 and 89 degrees, as printed.
 
     One of them, 1 - 0.05^2 = .9975, lies between two.
     """
-    assert ward.albedo(form, alpha, alpha, np.radians([0, 45, 75, 89])) == pytest.approx(table, abs=5.01e-4)
+    assert ward.albedo(form, alpha, alpha, np.radians(ANGLES)) == pytest.approx(table, abs=5.01e-4)
 
 
 def test_albedo_along_the_normal():
@@ -65,18 +46,15 @@ def test_albedo_along_the_normal():
         assert ward.albedo(kernels.BOUNDED, alpha, alpha, 0.0) == pytest.approx(exact, abs=1e-8)
 
 
-def test_radiance(root):
+def test_radiance():
     """Radiance renders the bounded form: to 1e-5 in the lobe.
 
     In its far tails, where the exponent is large, the exponent agrees to 4e-6.
     """
-    with open(root / "data/brdf-ward-radiance/ward_brdf_radiance.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = radiance_rows()
     assert len(rows) == 45
     seen = 0
-    for row in rows:
-        rho, alpha, theta_i, theta_o, dphi, radiance, of_1992, bounded = (float(x) for x in list(row.values())[1:])
-        i, o = direction(theta_i, 0), direction(theta_o, dphi)
+    for rho, alpha, i, o, radiance, of_1992, bounded in rows:
         f = rho * ward.values(kernels.BOUNDED, alpha, alpha, i, o)
         assert f == pytest.approx(bounded, rel=5e-6)
         assert rho * ward.values(kernels.WARD, alpha, alpha, i, o) == pytest.approx(of_1992, rel=5e-6)

@@ -14,10 +14,12 @@ from lib.analysis import glow
 from lib.analysis.candidates import Candidate, enough
 from lib.analysis.equations import Equations, Unknowns
 from lib.analysis.evidence import evidence, promised
+from lib.analysis.facts import USUAL_GAMMA
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Problem, Result
 from lib.given.materials import Why
+from lib.given.transfer import Transfer
 from lib.given.transfer_kinds import OF_PICTURE
 
 FITS = 1.2  # error that neighbouring tiles have in common, in what noise explains: exact scenes have .2 to .45, a pose
@@ -47,7 +49,7 @@ def disagreements(problem: Problem, result: Result, found: Gathered, asked, riva
     """
     if not len(problem.tile_group) or result.at is None:
         return []
-    why = [*_range(found), *transfer_told(problem, asked, rivals)]
+    why = [*_range(found), *(transfer_told(problem, asked, rivals) or _another_gamma(problem, result, asked))]
     if problem.specular is None:
         why += lamps(problem, result)
         if not fits(result):
@@ -94,6 +96,22 @@ def transfer_told(problem, asked, rivals) -> list[Why]:
     kind = min(near, key=lambda kind: kind == "curve")  # the simplest of those that are as good
     text = f"the transfer function {kind} fits better than {_named(asked)} by {rivals[kind]:.0f} nats"
     return [Why("transfer", None, text, float(rivals[kind]))]
+
+
+def _another_gamma(problem, result, asked) -> list[Why]:
+    """A gamma that fits better than what is told: one number is found where a free curve promises too little for nine.
+
+    Right gammas are beaten by -8 to 0 nats.
+    """
+    if asked in (None, "auto", "linear", *OF_PICTURE) or problem.specular is not None:
+        return []
+    free = replace(problem, transfer=Transfer("gamma", USUAL_GAMMA), fit_transfer=True, doubted=None)
+    found = Candidate.of(free, start=Unknowns(result.state.rho, result.state.E, free.transfer))
+    gain = found.evidence.nats - evidence(problem, result.at).nats
+    if gain < enough(problem, 1):
+        return []
+    text = f"gamma {found.result.state.gamma:.3g} fits better than {_named(asked)} by {gain:.0f} nats"
+    return [Why("transfer", None, text, float(gain))]
 
 
 def _named(asked):

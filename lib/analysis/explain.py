@@ -27,6 +27,7 @@ from lib.given.view import View
 
 LAMPS, OBJECT = "lamps", "object"  # what may be wrong that is no cause: emittances that are told, one reflectance
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
+FAR_GAMMA = 4.0  # beyond it other starts are tried whatever is left to explain
 SAME = 0.01  # gammas that differ by less are of one minimum
 HOPELESS = 0.015  # display, median of the tiles: no other start of gamma explains what is so far off
 NEARLY = 0.5  # of the most that a cause promises, from which another is fitted beside it: .35 were the most in 16 rooms
@@ -339,13 +340,15 @@ def _uneven(base: Candidate, lobes: LampLobes) -> Candidate:
 def _begun(first: Candidate, leave: Leave) -> Candidate:
     """The rough fit under the given facts, from other gammas as well where it leaves something to explain.
 
-    gamma and the reflectances share a valley: dark photographs have another minimum beyond gamma 4.
+    gamma and the reflectances share a valley: dark photographs have another minimum beyond gamma 4, and so have white
+    rooms.
     """
-    promise = first.once("response", responses.promise)
-    if not _searches_gamma(first) or promise < enough(first.problem) or _is_one_object(first, promise):
-        return first
-    if _may_glow(first, leave) and first.once(glow.NAME, glow.promise) > promise:
-        return first  # no gamma is what is wrong
+    if not _ran_away(first):
+        promise = first.once("response", responses.promise)
+        if not _searches_gamma(first) or promise < enough(first.problem) or _is_one_object(first, promise):
+            return first
+        if _may_glow(first, leave) and first.once(glow.NAME, glow.promise) > promise:
+            return first  # no gamma is what is wrong
     found = first.result.state.gamma
     starts = STARTS if found > USUAL_GAMMA else STARTS[::-1]
     across = Candidate.of(first.problem, gamma=starts[0])  # from the other side of where the first began
@@ -353,6 +356,11 @@ def _begun(first: Candidate, leave: Leave) -> Candidate:
         return first
     others = [Candidate.of(first.problem, gamma=start) for start in starts[1:]]
     return max([first, across, *others], key=lambda c: c.evidence.nats)
+
+
+def _ran_away(found: Candidate) -> bool:
+    """gamma went where hardly a camera is, as in white rooms in dim light, where all reflectances go to 0 with it."""
+    return found.problem.fit_transfer and found.kind == "gamma" and found.result.state.gamma > FAR_GAMMA
 
 
 def _climbed(best: Candidate, leave: Leave):

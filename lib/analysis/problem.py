@@ -18,9 +18,9 @@ import numpy as np
 from lib.analysis.mixture import Mixture
 from lib.given.jpeg import SHARED_PX
 from lib.given.transfer import Metric, Transfer
+from lib.light.balance import BALANCED
 from lib.light.factors_file import OUTSIDE
 
-BALANCED = 1e-4  # largest relative residual of a light balance that counts as solved; it is solved to 1e-5
 MISFIT = 4.0  # residuals so many times what noise explains: something told to the fit is wrong
 UNSEEN_MEAN, UNSEEN_SPREAD = 0.5, 0.3  # of groups never seen, where no group is seen
 LEAST_SPREAD = 0.05  # of the prior of a group never seen

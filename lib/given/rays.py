@@ -24,7 +24,7 @@ class Local:
     """The map into local coordinates: x_local = (x - centre) / diagonal."""
 
     centre: np.ndarray  # (3,) m
-    diagonal: float  # m
+    diagonal: float  # m, of a box; of others the smallest ball's diameter
 
     @classmethod
     def of(cls, model) -> Local:

@@ -13,6 +13,7 @@ import numpy as np
 
 from lib.light import radiosity
 
+BALANCED = 1e-4  # largest relative residual of a light balance that counts as solved; it is solved to 1e-5 or better
 DENSE_LIMIT = 6000  # patches up to which F is kept dense: BLAS is then faster than sparse products
 
 
@@ -75,6 +76,20 @@ def reflected(F, rho, source, *, tolerance, x0=None, channel=None) -> Reflected:
             tolerance=tolerance,
             x0=x0,
         )
+    )
+
+
+def unsolved(residual) -> str | None:
+    """A warning where a balance has a larger residual than counts as solved: a picture of it is not converged.
+
+    >>> unsolved(1e-5)
+    >>> unsolved(8e-3)
+    'the light balance is not solved: 0.8 % of the light is left over'
+    """
+    return (
+        None
+        if residual <= BALANCED
+        else f"the light balance is not solved: {100 * residual:.2g} % of the light is left over"
     )
 
 

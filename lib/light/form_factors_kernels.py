@@ -16,6 +16,12 @@ ESCAPED, DROPPED, LOST = -1, -2, -3  # where a ray arrives that meets no patch
 # ---- ray generation ----
 
 
+@njit(inline="always")
+def inside(u, size):
+    """u, a ray's offset away from the ends of 0 ... size: beside a wall that leans over it would start beyond that."""
+    return min(max(u, min(OFFSET, 0.5 * size)), max(size - OFFSET, 0.5 * size))
+
+
 @njit(parallel=True)
 def patch_rays(first, last, n, points, shift, pieces: PatchPieces, surface: SurfaceArrays):
     """n rays of each of the patches first..last-1, ((last - first) * n, 6) float32.
@@ -31,6 +37,7 @@ def patch_rays(first, last, n, points, shift, pieces: PatchPieces, surface: Surf
         h0, h1, h2, h3 = shift[i]
         for k in range(n):
             u, v = in_patch(i, scrambled(points[k, 0], h0), scrambled(points[k, 1], h1), pieces)
+            u, v = inside(u, surface.size[f, 0]), inside(v, surface.size[f, 1])
             row = (i - first) * n + k
             for d in range(3):
                 out[row, d] = origin[f, d] + u * axes[f, 0, d] + v * axes[f, 1, d] + OFFSET * nrm[d]

@@ -75,8 +75,8 @@ class Surface:
 def surface(model, lamps=(), like=None) -> Surface:
     """Facet frames, solids and ray casters. lamps: names of the groups that emit.
 
-    like : Surface of a model of which this one is a change (lib/given/model/changes.py): local coordinates and the
-        middle are the same, and facets that are no longer there keep their frames
+    like : Surface of a model of which this one is a change (lib/given/model/changes.py): local coordinates and frames
+        are the same, also of facets that are no longer there
     The last few are kept: several steps of a stage ask for the same.
     """
     lamps = tuple(name for name in lamps if name in model.groups)

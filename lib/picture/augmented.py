@@ -117,7 +117,7 @@ def picture(scene: Scene, quality: Quality, *, timing=None) -> Made:
     if "camera" in scene.entry:
         lit = _light(scene.changed, quality, timing)
         linear = through(lenses.read(scene.entry["camera"]), scene.changed, lit, quality, timing=timing)
-        return _made(scene.changed, linear, 8)
+        return replace(_made(scene.changed, linear, 8), facts={"residual": lit.light.residual})
     pair = differential.renderings(scene.recovered, scene.changed, quality, timing=timing)
     photograph, T = scene.recovered.view.photograph, scene.recovered.transfer
     with timing("compose"):
@@ -214,10 +214,10 @@ def cameras(entry, camera: Camera) -> list[Lens]:
     return motion.between([replace(lens, T_cam_ref=T) for T in motion.read_csv(named)], frames)
 
 
-def sequence(scene: Scene, quality: Quality, folder, preview, bar, *, timing=None) -> int:
+def sequence(scene: Scene, quality: Quality, folder, preview, bar, *, timing=None) -> dict:
     """Writes the frames, folder/0001.png and so on, and the preview; all or none. The light is balanced once.
 
-    Returns the number of frames.  bar : called with the share done
+    Returns facts for the report.  bar : called with the share done
     """
     timing = timing or (lambda label: contextlib.nullcontext())
     way = cameras(scene.entry, scene.recovered.view.camera)
@@ -242,7 +242,7 @@ def sequence(scene: Scene, quality: Quality, folder, preview, bar, *, timing=Non
             partial.rename(folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return len(way)
+    return {"frames": len(way), "residual": lit.light.residual}
 
 
 def _film(path, lens):

@@ -67,6 +67,7 @@ def renderings(recovered: Subject, changed: Subject, quality: Quality, *, timing
         made = rendering.finished(subject, of, quality, every, *light(every), timing=timing, virtual=mirrored)
         pictures.append(subject.through_lens(made.linear))
     facts = {"places": makers.places, "pixels_of_another_facet": int((~same).sum())}
+    facts["residual"] = max(of.light.residual for of in lit)
     return Pair(*pictures, new[..., None], facts)
 
 

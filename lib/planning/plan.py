@@ -28,6 +28,8 @@ TARGETS = (
     "lint",
     "test",
     "test-slow",
+    "verify",
+    "verify-long",
     "bench",
     "scenes",
     "doctor",

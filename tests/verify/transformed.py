@@ -166,10 +166,15 @@ def channels(order):
     return change
 
 
-def renamed(folder):
-    """Groups and objects under names that sort the other way round."""
+def new_names(folder):
+    """{group: another name}, such that they sort the other way round."""
     names = sorted({group for _, group, _ in Drawing.read(folder).polygons}, reverse=True)
-    new = {name: f"g{k:03d}" for k, name in enumerate(names)}
+    return {name: f"g{k:03d}" for k, name in enumerate(names)}
+
+
+def renamed(folder):
+    """Groups and objects under other names."""
+    new = new_names(folder)
     polygons = [(f"z-{thing}", new[group], p) for thing, group, p in Drawing.read(folder).polygons]
     Drawing(polygons).write(folder)
 
@@ -199,12 +204,12 @@ def reordered(seed):
 
 
 class Answer(NamedTuple):
-    """rho, sigma : {group: (3,)} of the groups that are identified;  gamma;  build : folder"""
+    """rho, sigma : {group: (3,)} of the groups that are identified;  gamma;  bytes : {goal: its file}"""
 
     rho: dict
     sigma: dict
     gamma: float
-    build: Path
+    bytes: dict
 
 
 def answer(folder, name, goals, threads=2, names=None, order=(0, 1, 2)):
@@ -225,5 +230,5 @@ def answer(folder, name, goals, threads=2, names=None, order=(0, 1, 2)):
         {g: np.array(value["rho_d"])[place] for g, value in groups.items()},
         {g: np.array(value["sigma"]["rho_d"])[place] for g, value in groups.items()},
         found["transfer"].get("gamma"),
-        build,
+        {goal: (build / goal).read_bytes() for goal in goals},
     )
