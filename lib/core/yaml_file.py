@@ -114,6 +114,26 @@ def read_yaml(path):
     return _load(path, bounded.text(path, LARGEST), _Loader)
 
 
+class _OpenCV(_Loader):
+    """What OpenCV's FileStorage writes: its matrices bear a tag."""
+
+    allowed = frozenset({f"{PLAIN}opencv-matrix"})
+
+
+_OpenCV.add_constructor(f"{PLAIN}opencv-matrix", _construct_mapping)
+
+
+def read_opencv(path, text, names) -> dict:
+    """Of what OpenCV's FileStorage wrote as YAML, the values of these names; a matrix is a mapping with `data`.
+
+    The others may be long, points of many boards for example, and are passed over.
+    """
+    blocks = re.split(r"^(?=[\w\"'])", text.replace("\r\n", "\n"), flags=re.M)
+    wanted = re.compile(rf"[\"']?({'|'.join(names)})[\"']? *:")
+    found = _load(path, "".join(filter(wanted.match, blocks)), _OpenCV)
+    return found if isinstance(found, dict) else {}
+
+
 def _load(path, text, loader):
     try:
         return yaml.load(text, loader)
