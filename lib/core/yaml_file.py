@@ -117,10 +117,11 @@ def read_yaml(path):
 class _OpenCV(_Loader):
     """What OpenCV's FileStorage writes: its matrices bear a tag."""
 
-    allowed = frozenset({f"{PLAIN}opencv-matrix"})
+    allowed = frozenset({f"{PLAIN}opencv-matrix", f"{PLAIN}opencv-nd-matrix"})
 
 
-_OpenCV.add_constructor(f"{PLAIN}opencv-matrix", _construct_mapping)
+for _tag in _OpenCV.allowed:
+    _OpenCV.add_constructor(_tag, _construct_mapping)
 
 
 def read_opencv(path, text, names) -> dict:

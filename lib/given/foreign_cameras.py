@@ -6,6 +6,7 @@ pixel is taken off their principal points.
 
 from __future__ import annotations
 
+import math
 import struct
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
@@ -287,8 +288,10 @@ def _matrix(path, name, value):
         return None
     try:
         data = np.array(value["data"] if isinstance(value, dict) else value, float)
-        if isinstance(value, dict) and data.size != value["rows"] * value["cols"]:
-            raise ValueError(f"{data.size} numbers instead of {value['rows']} x {value['cols']}")
+        if isinstance(value, dict):
+            sides = value["sizes"] if "sizes" in value else [value["rows"], value["cols"]]
+            if list(sides) != [int(side) for side in sides] or data.size != math.prod(sides):
+                raise ValueError(f"{data.size} numbers instead of {' x '.join(map(str, sides)):.40}")
         return data
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(f"{path}: {name}: no matrix: {type(error).__name__}: {error}") from None

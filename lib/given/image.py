@@ -3,16 +3,7 @@
 Arrays are indexed [y, x] or [y, x, channel], channels in the order R, G, B.
 """
 
-import contextlib
-import io
 import os
-import re
-import struct
-import sys
-import tempfile
-import threading
-import warnings
-import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +12,7 @@ import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
-from lib.given import jpeg, strangers_files
+from lib.given import jpeg, picture_files, strangers_files
 from lib.given.transfer import display_of_linear
 
 MAY_CLIP = 0.25  # share of a noisy surface's pixels that may be clipped: its median is not
@@ -30,10 +21,6 @@ SKEWED, OUTLIER = 0.1, 4.0  # mean cube of second differences in sigmas; held do
 ENOUGH = 300_000  # pixels that tell of the noise
 _OF_SECOND = 6.0
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF"}  # as Pillow names them
-MARKS = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}  # first bytes
-DAMAGE = re.compile(
-    r"^(Corrupt JPEG|Premature end of JPEG|Invalid (JPEG|SOS)|Inconsistent prog|Unsupp.*JPEG|.*Exception raised)"
-)
 MOST_CHANNELS = 8  # of an EXR
 OTHER_COLOURS = ("CMYK", "LAB", "YCbCr", "HSV")  # modes of Pillow that are no R, G, B. A JPEG's YCbCr comes as RGB
 
@@ -97,7 +84,7 @@ def format_problem(path) -> str | None:
     if path.suffix == ".exr":
         return None
     try:
-        with _opened(path) as picture:
+        with picture_files.opened(path) as picture:
             format, mode = picture.format, picture.mode
     except Exception:  # decoding says what is wrong
         return None
@@ -110,17 +97,6 @@ def format_problem(path) -> str | None:
     if mode in OTHER_COLOURS:
         return f"{path}: colours: {mode}: convert the photograph to RGB (sRGB)"
     return None
-
-
-@contextlib.contextmanager
-def _opened(source):
-    """Pillow's image of a path or a file: its header has been read, and no pixel. It raises whatever it raises."""
-    from PIL import Image
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with Image.open(source) as picture:
-            yield picture
 
 
 def read_photograph(path) -> Photograph:
@@ -163,7 +139,7 @@ TURNS = {
 def orientation(path) -> int:
     """1 to 8, as EXIF has it; 1 where a file tells nothing sensible."""
     try:
-        with _opened(path) as picture:
+        with picture_files.opened(path) as picture:
             turn = picture.getexif().get(274)
     except Exception:  # whatever is wrong with the file or its EXIF: decoding says what matters
         return 1
@@ -267,18 +243,20 @@ def read_exr(path) -> np.ndarray:
     import OpenEXR
 
     path = os.fspath(path)
-    content = _content(path)
+    content, said = _content(path), []
     try:
-        with _heard() as said:
+        with picture_files.heard() as said:
             window = _check_exr(path, len(content))
             with OpenEXR.File(path, separate_channels=True) as file:
                 pixels = {name: np.array(channel.pixels, float) for name, channel in file.channels().items()}
     except BadInput:
         raise
     except Exception as error:  # the package raises plain RuntimeError, TypeError, ...
-        raise BadInput(f"{path}: not a readable EXR: {' '.join(str(error).split()) or type(error).__name__}") from None
+        if not said:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise BadInput(f"{path}: not a readable EXR: {why}") from None
     if said:
-        raise BadInput(f"{path}: damaged: {said[0]}")
+        raise BadInput(f"{path}: damaged: {said[0].removeprefix(f'{path}: ')}")
     if window[0] != window[1]:
         raise BadInput(f"{path}: dataWindow: {window[0]} is not the whole picture {window[1]}")
     names = set(pixels) - {"A"}
@@ -326,41 +304,10 @@ def _content(path):
     return content
 
 
-_HEARING = threading.Lock()
-
-
-@contextlib.contextmanager
-def _heard():
-    """Yields a list of what decoders say to the terminal meanwhile about damage, which some say nowhere else.
-
-    What else is said goes on to the terminal.
-    """
-    found = []
-    with _HEARING, tempfile.TemporaryFile() as file:
-        sys.stdout.flush(), sys.stderr.flush()
-        kept = os.dup(1), os.dup(2)
-        try:
-            os.dup2(file.fileno(), 1), os.dup2(file.fileno(), 2)
-            yield found
-        finally:
-            sys.stdout.flush(), sys.stderr.flush()
-            for number, own in zip((1, 2), kept, strict=True):
-                os.dup2(own, number), os.close(own)
-            file.seek(0)
-            for line in file.read().decode("utf-8", "replace").splitlines():
-                (found.append(" ".join(line.split())) if DAMAGE.search(line) else print(line, file=sys.stderr))
-
-
 def _decode(path):
     """What OpenCV reads of a PNG, a JPEG or a TIFF; BadInput where it reads nothing, or the file is damaged."""
     content = _content(path)
-    format = next((format for mark, format in MARKS.items() if content.startswith(mark)), None)
-    # The decoders fill in what is missing and only grumble, so look for the end of the file first.
-    if format == "PNG":
-        _check_png(path, content)
-    elif format == "JPEG" and b"\xff\xd9" not in content[-1024:]:
-        raise BadInput(f"{path}: truncated: {len(content)} bytes without the end of a JPEG")
-    size = _announced(path, content, format) if format else None
+    size = picture_files.check(path, content)
     image, said = _of_opencv(content) if size else (None, [])
     if said:
         raise BadInput(f"{path}: damaged: {said[0]}")
@@ -376,52 +323,12 @@ def _decode(path):
     return image
 
 
-def _announced(path, content, format):
-    """(width, height) px by the header, None where it cannot be read; BadInput where they are too many.
-
-    A TIFF is decoded as well, where Pillow can: its decoder in OpenCV is silent about damage.
-    """
-    from PIL import UnidentifiedImageError
-
-    try:
-        with _opened(io.BytesIO(content)) as picture:
-            size = picture.size
-            bounded.check_picture(path, *size, len(content))
-            if format == "TIFF":
-                picture.load()
-    except UnidentifiedImageError:
-        size = _tiff_size(content) if format == "TIFF" else None
-        if size:
-            bounded.check_picture(path, *size, len(content))
-    except OSError as error:
-        raise BadInput(f"{path}: damaged: {' '.join(str(error).split()):.80}") from None
-    except BadInput:
-        raise
-    except Exception:  # whatever a damaged header makes of it
-        return None
-    return size
-
-
-def _tiff_size(content):
-    """The same of a TIFF whose samples Pillow does not know."""
-    from PIL.TiffImagePlugin import ImageFileDirectory_v2
-
-    try:
-        tags = ImageFileDirectory_v2(content[:8])
-        file = io.BytesIO(content)
-        file.seek(tags.next)
-        tags.load(file)
-        return int(tags[256]), int(tags[257])
-    except Exception:  # whatever a damaged header makes of it
-        return None
-
-
 def _of_opencv(content):
     """(pixels or None, what the decoder says of damage)"""
     import cv2
 
     level = cv2.utils.logging.getLogLevel() if hasattr(cv2.utils, "logging") else None
-    with _heard() as said:
+    with picture_files.heard() as said:
         try:
             if level is not None:
                 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -432,63 +339,3 @@ def _of_opencv(content):
             if level is not None:
                 cv2.utils.logging.setLogLevel(level)
     return image, said
-
-
-def _check_png(path, content):
-    """Every chunk whole, its checksum right, the last one IEND; the picture's data as long as its header says."""
-    at, packed, header = 8, [], None
-    while True:
-        if at + 12 > len(content):
-            raise BadInput(f"{path}: truncated: the PNG ends at byte {len(content)} before its last chunk")
-        length, kind = struct.unpack(">I4s", content[at : at + 8])
-        chunk = f"chunk {kind.decode('ascii', 'replace')!r:.20} at byte {at}"
-        if at + 12 + length > len(content):
-            left = len(content) - at - 12
-            raise BadInput(f"{path}: truncated: {chunk} needs {length} bytes, {left} are there")
-        data = content[at + 8 : at + 8 + length]
-        (check,) = struct.unpack(">I", content[at + 8 + length : at + 12 + length])
-        if zlib.crc32(data, zlib.crc32(kind)) != check:
-            raise BadInput(f"{path}: damaged: {chunk} has a wrong checksum")
-        at += 12 + length
-        if kind == b"IHDR" and length == 13 and header is None:
-            header = struct.unpack(">IIBBBBB", data)
-            bounded.check_picture(path, *header[:2], len(content))
-        elif kind == b"IDAT":
-            packed.append(data)
-        elif kind == b"IEND":
-            break
-    if header is None:
-        raise BadInput(f"{path}: damaged: the PNG has no header")
-    _check_deflated(path, packed, header)
-
-
-SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # of a PNG's colour types
-PASSES = (
-    (0, 0, 8, 8),
-    (0, 4, 8, 8),
-    (4, 0, 8, 4),
-    (0, 2, 4, 4),
-    (2, 0, 4, 2),
-    (0, 1, 2, 2),
-    (1, 0, 2, 1),
-)  # interlaced
-
-
-def _check_deflated(path, packed, header):
-    """The data of a PNG unpack to its rows, to the byte."""
-    width, height, bits, colours, _, _, interlaced = header
-    parts = PASSES if interlaced else ((0, 0, 1, 1),)
-    sides = [(len(range(y, height, dy)), len(range(x, width, dx))) for y, x, dy, dx in parts]
-    row = lambda count: 1 + (count * SAMPLES.get(colours, 1) * bits + 7) // 8
-    needed = sum(rows * row(columns) for rows, columns in sides if rows and columns)
-    unpacker, there = zlib.decompressobj(), 0
-    try:
-        for data in packed:
-            while data and there <= needed:
-                there += len(unpacker.decompress(data, 1 << 20))
-                data = unpacker.unconsumed_tail
-    except zlib.error as error:
-        raise BadInput(f"{path}: damaged: {error}") from None
-    if there != needed or not unpacker.eof:
-        more = " or more" if there > needed else ""
-        raise BadInput(f"{path}: damaged: its rows have {needed} bytes, {there}{more} are there")

@@ -1,5 +1,6 @@
 """Names of given files, and quick looks into them; the stages read them in earnest."""
 
+import functools
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -115,6 +116,15 @@ def model_groups(path) -> set[str] | None:
 
 def lens_of(path) -> str | None:
     """The lens model that a camera file names, or None where the file cannot be read."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return _lens_of(path, status.st_size, status.st_mtime_ns)
+
+
+@functools.lru_cache
+def _lens_of(path, *_):
     try:
         return bounded.literal_of(path, bounded.content(path, bounded.LARGEST_TEXT))["lensmodel"]
     except (BadInput, ValueError, KeyError, TypeError):
