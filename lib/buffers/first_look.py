@@ -39,7 +39,7 @@ def findings(model, camera, photograph, facet, lamps=(), up="z", turned=1) -> li
         *_size(model),
         *_camera(model, camera),
         *_up(camera, up),
-        *_sight(model, facet),
+        *_sight(model, facet, lamps),
         *_lamps(model, lamps),
         *_openings(model, camera),
         *_photograph(photograph, turned, _lamp_pixels(model, facet, lamps)),
@@ -85,7 +85,7 @@ def _up(camera, up):
         yield Finding("up axis", text)
 
 
-def _sight(model, facet):
+def _sight(model, facet, lamps):
     """Groups that few pixels show, or none."""
     shown = facet[facet >= 0]
     group = np.bincount(model.facet_group[shown], minlength=len(model.groups))
@@ -94,7 +94,7 @@ def _sight(model, facet):
     tiny = [f"{name} ({n} px)" for name, n in zip(model.groups, group, strict=True) if 0 < n < TINY_PX]
     if tiny:
         yield Finding("groups", f"small in the picture, their values will be loose: {_listed(tiny)}", True)
-    unseen = [name for name, n in zip(model.groups, group, strict=True) if n == 0]
+    unseen = [name for name, n in zip(model.groups, group, strict=True) if n == 0 and name not in lamps]
     if unseen:
         yield Finding("groups", f"not in the picture, their reflectances are assumed: {_listed(unseen)}")
 
