@@ -60,7 +60,8 @@ def _lost(found):
         return []
     text = (
         f"the photograph has {found.seen.found:.0%} of the model's edges, too few"
-        f" ({found.seen.chance:.0%} by chance): the camera, the model's unit or its axes are not as given"
+        f" ({found.seen.chance:.0%} by chance): the camera, the model's unit or its axes are not as"
+        " given, or noise hides them"
     )
     return [Why("camera", None, text, None)]
 

@@ -11,6 +11,8 @@ import struct
 import time
 from pathlib import Path
 
+from lib.planning import gallery
+
 # Seconds on the clock of a first run on two cores, 640 x 480 px; what grows with the photograph, and what does not
 TYPICAL = {
     **{"index": (1, 2), "formfactors": (3, 0), "gather": (3, 1), "fit": (4, 1), "coverage": (1, 1), "render": (3, 5)},
@@ -87,6 +89,7 @@ def main():
     parser.add_argument("--page", required=True)
     parser.add_argument("--stages", nargs="*", default=[])
     opt = parser.parse_args()
+    gallery.write(Path(opt.build).parent)
     print(summary(opt.build, opt.title, opt.page, opt.began, opt.stages))
 
 
