@@ -62,7 +62,7 @@ plan: setup
 # A folder from a photograph, a model and perhaps a camera of another program
 new-scene: setup
 	@$(PYTHON) stages/new_scene.py --data "$(DATA)" --name "$(NAME)" --model "$(MODEL)" --photo "$(PHOTO)" \
-	  --camera "$(CAMERA)" --image "$(IMAGE)" --picks "$(PICKS)"
+	  --camera "$(CAMERA)" --image "$(IMAGE)" --picks "$(PICKS)" --megapixels "$(MEGAPIXELS)"
 
 # The loop while one works; all that must pass; what takes minutes each.  Tests run side by side, one on each core.
 TESTS := OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal

@@ -55,7 +55,7 @@ def main(opt):
             import numpy as np
             import scipy.sparse.csgraph  # noqa: F401  the same
 
-            from lib.buffers import index_buffer, model_checks, opengl  # noqa: F401  they count as imports here; `draw` names them
+            from lib.buffers import first_look, index_buffer, model_checks, opengl  # noqa: F401  they count as imports here; `draw` names them
             from lib.buffers.edges import visible_edges
             from lib.buffers.trust import trusted
             from lib.core import artefact
@@ -74,6 +74,8 @@ def main(opt):
         with report.timing("check"):
             for warning in (*model.warnings, *model_checks.findings(model, camera, index.facet)):
                 report.warning(f"{opt.model}: {warning}")
+            if (cost := first_look.cost(view.photograph.values.shape)).doubt:
+                report.warning(f"{opt.photograph}: {cost.text}")
         with report.timing("edges"):
             hidden = visible_edges(model, camera, index.facet, index.depth)
         with report.timing("trust"):

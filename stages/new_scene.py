@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A new scene's folder: make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f] [IMAGE=name] [PICKS=f]
+"""A new scene's folder: make new-scene NAME=x MODEL=f PHOTO=f [CAMERA=f] [IMAGE=name] [PICKS=f] [MEGAPIXELS=n]
 
     $ stages/new_scene.py --data data --name attic --model attic.ply --photo IMG_1.jpeg --camera attic.fspy
 
@@ -8,7 +8,8 @@ writes  data/attic/     left.*, model.obj or .glb, scene.yaml with comments, lef
 
 CAMERA: mrcal, COLMAP (its folder, text or binary; IMAGE names the photograph), fSpy, Blender (docs/blender_camera.py),
 OpenCV (YAML, JSON).  PICKS: corners of the model picked in the photograph, x_px,y_px,X,Y,Z (pose.csv); X, Y, Z may be
-the model file's own numbers, or as Blender shows them.  MODEL: OBJ, GLB, glTF, PLY, STL, Mitsuba's XML.
+the model file's own numbers, or as Blender shows them.  MEGAPIXELS: that the photograph keeps
+at most (4); a larger one is made smaller, with its camera and picks.  MODEL: OBJ, GLB, glTF, PLY, STL, Mitsuba's XML.
 """
 
 import argparse
@@ -24,7 +25,7 @@ from lib.core import stage
 def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", default="data")
-    for name in ("name", "model", "photo", "camera", "image", "picks"):
+    for name in ("name", "model", "photo", "camera", "image", "picks", "megapixels"):
         parser.add_argument(f"--{name}", default="")
     return parser
 
@@ -40,6 +41,12 @@ def main(opt):
         raise stage.BadInput(f"{', '.join(missing)}: missing: {how}")
     if not NAME.fullmatch(opt.name) or opt.name in TARGETS:
         raise stage.BadInput(f"NAME: {opt.name}: letters, digits, _ and - alone, and no target of the Makefile")
+    try:
+        megapixels = float(opt.megapixels) if opt.megapixels else None
+    except ValueError:
+        megapixels = 0.0
+    if megapixels is not None and not 1e-4 <= megapixels <= 1000:
+        raise stage.BadInput(f"MEGAPIXELS: {opt.megapixels}: is no number from 0.0001 to 1000")
     folder = Path(opt.data) / opt.name
     if folder.exists():
         raise stage.BadInput(f"NAME: {folder}: is there already")
@@ -54,7 +61,9 @@ def main(opt):
         made = Path(partial) / opt.name
         made.mkdir()
         try:
-            said = new_scene.make(made, opt.model, opt.photo, opt.camera or None, opt.image or None, opt.picks or None)
+            said = new_scene.make(
+                made, opt.model, opt.photo, opt.camera or None, opt.image or None, opt.picks or None, megapixels
+            )
         except stage.BadInput as bad:
             raise stage.BadInput(*(line.replace(f"{made}/", "") for line in bad.problems)) from None
         shutil.move(made, folder)

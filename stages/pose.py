@@ -11,6 +11,7 @@ reads   photograph      for its size
         lens, pinhole   the camera as given, any lens, and as a pinhole; without: square pixels, the principal point in
                         the middle, the focal length unknown
         fspy, fspy_json a project of fSpy's, or its export
+        model           in metres: a pose of picked places is then refined on the photograph's edges
         camera          eye, at, up, hfov_deg
 writes  posed           the camera in the model's frame
         pose            of picks alone: rt_cam_world; its covariance (6, 6) of (omega, tau), T = exp(omega, tau) T_hat
@@ -30,7 +31,7 @@ def options():
     parser = stage.parser(
         __doc__,
         reads="photograph",
-        may_read="points lines lens pinhole fspy fspy_json",
+        may_read="points lines lens pinhole fspy fspy_json model",
         writes="posed",
         may_write="pose",
     )
@@ -45,7 +46,8 @@ def main(opt):
         with report.excluded("imports"):
             from lib.given import cameras, image
 
-        height, width = image.read_photograph(opt.photograph).values.shape[:2]
+        photograph = image.read_photograph(opt.photograph)
+        height, width = photograph.values.shape[:2]
         if opt.camera:
             camera = cameras.look_at(width=width, height=height, **opt.camera)
             cameras.write_cameramodel(opt.posed, camera)
@@ -54,15 +56,16 @@ def main(opt):
 
             foreign_cameras.read(project, (width, height)).write(opt.posed)
         else:
-            from_picks(opt, report, width, height)
+            from_picks(opt, report, photograph)
 
 
-def from_picks(opt, report, width, height):
-    """The camera that sees the picked places where they were picked."""
+def from_picks(opt, report, photograph):
+    """The camera that sees the picked places, and the model's edges, where the photograph has them."""
     from lib.core import artefact
-    from lib.given import cameras, lenses, picks
+    from lib.given import cameras, lenses, model, picks
     from lib.vision import picked
 
+    where, (height, width) = opt.points or opt.lines, photograph.values.shape[:2]
     with report.timing("read"):
         told = picks.read(opt.points, opt.lines)
         middle = cameras.Camera(cameras.intrinsics(1.2 * max(width, height), width, height), width, height, None)
@@ -73,14 +76,26 @@ def from_picks(opt, report, width, height):
         try:
             found = picked.solve(told, camera, focal_known=bool(opt.pinhole))
         except stage.BadInput as bad:
-            raise stage.BadInput(f"{opt.points or opt.lines}: {bad}") from None
+            raise stage.BadInput(f"{where}: {bad}") from None
+    for text in picked.warnings(found, [*told.names, *told.line_names], focal_known=bool(opt.pinhole)):
+        report.warning(f"{where}: {text}")
+    trace = []
+    if opt.model:
+        with report.excluded("imports"):
+            from lib.vision import picked_edges
+        with report.timing("edges"):
+            found, trace, why = picked_edges.refined(found, told, model.load(opt.model), photograph, bool(opt.pinhole))
+        zero = (trace[0]["cpu_s"], trace[0]["wall_s"]) if trace else ()
+        for step in trace:
+            clocks = {"cpu_s": step.pop("cpu_s") - zero[0], "wall_s": step.pop("wall_s") - zero[1]}
+            report.trace(**clocks, error_px=step["error_px"])
+        if why:
+            report.warning(f"{where}: {why}")
     names = [*told.names, *told.line_names]
     residuals = [
         {"name": name, "px": float(px) if math.isfinite(px) else None, "outlier": bool(out)}
         for name, px, out in zip(names, found.residual_px, found.outlier, strict=True)
     ]
-    for text in picked.warnings(found, names, focal_known=bool(opt.pinhole)):
-        report.warning(f"{opt.points or opt.lines}: {text}")
     report.error("picks", found.rms_px, unit="px", against="the picked places, without outliers")
     content = {
         "status": "ambiguous" if found.rivals else "unique",
@@ -92,7 +107,7 @@ def from_picks(opt, report, width, height):
         "focal_sigma_px": found.focal_sigma_px,
         "residuals": residuals,
         "matches": [],
-        "trace": [],
+        "trace": trace,
         "ambiguous": [{"rt_cam_world": cameras.rt_from_matrix(T)} for T in found.rivals],
     }
     report.status = content["status"]

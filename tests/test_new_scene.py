@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lib.given import cameras, fspy, picks
+from lib.given import cameras, fspy, image, picks
 from lib.given import model as models
 from lib.given.model.glb_writer import write_glb
 from lib.planning import scene as scenes
@@ -36,7 +36,8 @@ def new(given, run):
 
     def call(name="attic", photo="IMG 1.jpeg", **words):
         words = {"model": "room.obj", "camera": "cam.cameramodel"} | words
-        options = [word for key, file in words.items() if file for word in (f"--{key}", given / file)]
+        of = lambda key, value: value if key == "megapixels" else given / value
+        options = [word for key, value in words.items() if value for word in (f"--{key}", of(key, value))]
         data = given.parent / "data"
         done = run("stages/new_scene.py", "--data", data, "--name", name, "--photo", given / photo, *options)
         return done.returncode, data / name, done.stdout + done.stderr
@@ -119,7 +120,35 @@ def test_picks_off_all_corners_stay_as_they_are(new, given, root):
     (given / "points.csv").write_text("x_px,y_px,X,Y,Z\n1,2,.3,.4,.5\n3,4,1,.4,.5\n5,6,.3,1,.7\n7,8,.3,.4,1.9\n")
     status, folder, said = new(camera=None, picks="points.csv")
     assert status == 0 and "picks: 4 -> pose.csv as they are: few of them are corners of the model" in said, said
-    assert (folder / "pose.csv").read_bytes() == (given / "points.csv").read_bytes()
+    assert np.allclose(picks.read(folder / "pose.csv").p, picks.read(given / "points.csv").p)
+
+
+def test_a_large_photograph_is_made_smaller_with_its_camera_and_picks(new, given, root):
+    """Half as many pixels each way: the same point of the model lies on the same place of the picture."""
+    whole = new(name="whole")[1]
+    status, folder, said = new(megapixels="0.001")
+    assert status == 0, said
+    assert (
+        "photograph: 64 x 48 px, means of 2 x 2 pixels for memory and time (MEGAPIXELS=1 keeps all) -> left.png" in said
+    )
+    before, after = (image.read_photograph(path) for path in (whole / "left.jpg", folder / "left.png"))
+    assert after.bits == 16 and after.values.shape == (24, 32, 3)
+    assert np.allclose(after.values[3, 5], before.values[6:8, 10:12].mean(axis=(0, 1)), atol=1e-4)
+    p = np.array([[3, 2, 1], [2.5, 1.8, 0.7]])
+    q, smaller = (cameras.read_cameramodel(f / "left.posed.cameramodel").project(p) for f in (whole, folder))
+    assert np.allclose(smaller, (q + 0.5) / 2 - 0.5)
+    planned(folder, root)
+    (given / "points.csv").write_text(
+        "x_px,y_px,X,Y,Z,sigma_px\n1,2,0,0,0,2\n3,4,4,0,0,1\n5,6,4,3,0,1\n7,8,4,3,2.5,1\n"
+    )
+    folder = new(name="picked", camera=None, picks="points.csv", megapixels="0.001")[1]
+    found = picks.read(folder / "pose.csv")
+    assert found.q.tolist() == [[0.25, 0.75], [1.25, 1.75], [2.25, 2.75], [3.25, 3.75]] and found.sigma.tolist()[0] == 1
+
+
+def test_megapixels_is_a_number(new):
+    status, folder, said = new(megapixels="many")
+    assert status == 2 and "MEGAPIXELS: many: is no number from 0.0001 to 1000" in said and not folder.exists()
 
 
 def same(folder, groups=None):

@@ -9,7 +9,8 @@ import time
 
 import pytest
 
-from lib.planning import progress
+from lib.planning import gallery, progress
+from tests.helpers.html import Page
 
 
 def test_a_line_for_each_stage_and_none_of_commands(toy):
@@ -97,3 +98,26 @@ def test_the_overview_is_short_and_one_scene_is_told_in_full(toy):
     status, _, said = toy.make("plan", "SCENE=room")
     assert status == 0 and "room: see -> pose -> fit -> compare" in said and "without mask: no goal needs it" in said
     assert "other" not in said
+
+
+def test_a_gallery_of_all_scenes_with_a_page(tmp_path):
+    """Badge, error, warnings, seconds and a picture of each; names are escaped, what is broken says nothing."""
+    for name in ("attic", "a&b", "empty", "broken"):
+        (tmp_path / name).mkdir()
+    for name in ("attic", "a&b", "broken"):
+        (tmp_path / name / "report.html").write_text("x")
+    (tmp_path / "attic/materials.json").write_text('{"status": "does not fit"}')
+    (tmp_path / "attic/rendered.json").write_text('{"rmse": 0.0123}')
+    (tmp_path / "attic/rendered.png").write_bytes(b"")
+    (tmp_path / "attic/fit.report.json").write_text('{"waited_s": 4.4, "warnings": ["x"]}')
+    (tmp_path / "a&b/materials.json").write_text('{"status": "converged"}')
+    (tmp_path / "broken/materials.json").write_text("{")
+    gallery.write(tmp_path)
+    found = Page((tmp_path / "index.html").read_text()).all("li")
+    assert [card.text for card in found] == [
+        "a&b converged 0 s",
+        "attic does not fit 1.23 % off the photograph, 1 warning, 4 s",
+        "broken complete 0 s",
+    ]
+    assert [card.one("a").attributes["href"] for card in found][1] == "attic/report.html"
+    assert found[1].one("img").attributes["src"] == "attic/rendered.png" and found[1].one(kind="bad")

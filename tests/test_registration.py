@@ -48,7 +48,16 @@ def pieces(offset, sigma=0.1, edges=None, wrong=(), random=None):
     edges = np.arange(n) if edges is None else edges
     one = np.ones(n)
     return Pieces(
-        edges, 0 * edges, 21 * one, one, offset[:, None], 0.8 * one[:, None], 0.2 * one, 0 * one[:, None], one < 0
+        edges,
+        0 * edges,
+        21 * one,
+        one,
+        offset[:, None],
+        0.8 * one[:, None],
+        0.2 * one,
+        0 * one[:, None],
+        one < 0,
+        one < 0,
     )
 
 

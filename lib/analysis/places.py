@@ -59,8 +59,9 @@ def _lost(found):
     if not found.seen.is_surely_lost:
         return []
     text = (
-        f"the photograph has {found.seen.found:.0%} of the model's edges, hardly more than by chance"
-        f" ({found.seen.chance:.0%}): the camera, the model's unit or its axes are not as given"
+        f"the photograph has {found.seen.found:.0%} of the model's edges, too few"
+        f" ({found.seen.chance:.0%} by chance): the camera, the model's unit or its axes are not as"
+        " given, or noise hides them"
     )
     return [Why("camera", None, text, None)]
 

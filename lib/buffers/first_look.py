@@ -17,7 +17,7 @@ LARGE_M, SMALL_M = 100.0, 0.3  # sizes of a model that is hardly in metres
 TINY_PX = 500  # pixels of a group below which its values are loose
 CLIPPED = 0.01  # share of pixels worth a word
 FLAT = 0.25  # of the range that a photograph should use
-GB_BASE, GB_PER_MP = 0.7, 0.5  # peak of render
+GB_BASE, GB_PER_MP, MUCH_GB = 0.7, 0.5, 4.0  # peak of render; what is worth a word
 SECONDS, SECONDS_PER_MP = 15, 30  # index to report, two cores
 
 
@@ -39,11 +39,11 @@ def findings(model, camera, photograph, facet, lamps=(), up="z", turned=1) -> li
         *_size(model),
         *_camera(model, camera),
         *_up(camera, up),
-        *_sight(model, facet),
+        *_sight(model, facet, lamps),
         *_lamps(model, lamps),
         *_openings(model, camera),
         *_photograph(photograph, turned, _lamp_pixels(model, facet, lamps)),
-        *_cost(photograph.values.shape),
+        cost(photograph.values.shape),
     ]
 
 
@@ -85,7 +85,7 @@ def _up(camera, up):
         yield Finding("up axis", text)
 
 
-def _sight(model, facet):
+def _sight(model, facet, lamps):
     """Groups that few pixels show, or none."""
     shown = facet[facet >= 0]
     group = np.bincount(model.facet_group[shown], minlength=len(model.groups))
@@ -94,7 +94,7 @@ def _sight(model, facet):
     tiny = [f"{name} ({n} px)" for name, n in zip(model.groups, group, strict=True) if 0 < n < TINY_PX]
     if tiny:
         yield Finding("groups", f"small in the picture, their values will be loose: {_listed(tiny)}", True)
-    unseen = [name for name, n in zip(model.groups, group, strict=True) if n == 0]
+    unseen = [name for name, n in zip(model.groups, group, strict=True) if n == 0 and name not in lamps]
     if unseen:
         yield Finding("groups", f"not in the picture, their reflectances are assumed: {_listed(unseen)}")
 
@@ -195,22 +195,20 @@ def _photograph(photograph, turned, lamp):
         yield Finding("photograph", text, True)
 
 
-def _cost(shape):
+def cost(shape) -> Finding:
+    """Memory and time to expect. A doubt where they are much. shape : (H, W, ...) of the photograph"""
     megapixels = shape[0] * shape[1] / 1e6
     memory, seconds = GB_BASE + GB_PER_MP * megapixels, SECONDS + SECONDS_PER_MP * megapixels
     time = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
     has = _memory_gb()
     text = f"about {memory:.1f} GB of memory and {time} for {megapixels:.1f} megapixels, more where surfaces shine"
-    if has and memory > 0.8 * has:
-        yield Finding(
-            "cost", f"{text}; this machine has {has:.1f} GB: give a smaller photograph, with its camera", True
-        )
-    else:
-        yield Finding("cost", text)
+    text += f"; this machine has {has:.1f} GB" if has and memory > 0.8 * has else ""
+    if memory > MUCH_GB or has and memory > 0.8 * has:
+        return Finding("cost", f"{text}: make new-scene makes the photograph smaller, with its camera and picks", True)
+    return Finding("cost", text)
 
 
 def _memory_gb():
-
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     except (ValueError, OSError):

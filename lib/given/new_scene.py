@@ -6,6 +6,7 @@ Nothing is turned or scaled: a unit or an axis that seems to be another is said,
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given import foreign_cameras, foreign_models, image, lenses, picks_frame, sight
+from lib.given import foreign_cameras, foreign_models, image, lenses, picks_frame, reduced, sight
 from lib.given import model as models
 from lib.given import picks as picks_
 
@@ -23,18 +24,19 @@ ROOM_M = 60.0  # the longest side of a model that is likely in metres
 DIAGONAL_35 = 43.267  # mm, of the film that EXIF's equivalent focal length is for
 
 
-def make(folder, model, photograph, camera=None, picture=None, points=None) -> list[str]:
+def make(folder, model, photograph, camera=None, picture=None, points=None, megapixels=None) -> list[str]:
     """Fill an empty folder; returns lines to say, what is missing last.  BadInput: what cannot be used
 
     picture : the photograph's name in COLMAP's reconstruction
     points : a file as pose.csv, whose X, Y, Z may be in the model's own unit, or as Blender shows them
+    megapixels : that the photograph keeps at most; None: reduced.MEGAPIXELS
     """
     suffix = SUFFIX.get(Path(photograph).suffix.lower())
     if suffix is None:
         raise BadInput(f"PHOTO: {photograph}: is none of {', '.join(SUFFIX)}: convert it to PNG, or RAW to 16-bit TIFF")
     said = []
-    size = _photograph(folder / f"left{suffix}", photograph)
-    said.append(f"photograph: {size[0]} x {size[1]} px -> left{suffix}")
+    size, k, line = _photograph(folder / f"left{suffix}", photograph, megapixels or reduced.MEGAPIXELS)
+    said.append(line)
     files, lines = foreign_models.convert(model)
     for name, content in files.items():
         (folder / name).write_bytes(content)
@@ -47,6 +49,7 @@ def make(folder, model, photograph, camera=None, picture=None, points=None) -> l
     unit = _unit(world)
     facts, hints = [], [unit.line] if unit else []
     if found:
+        found = reduced.camera(found, k)
         found.write(folder / found.name)
         said.append(f"camera: of {found.kind}, {found.lens}, fx = {found.intrinsics[0]:.1f} px -> {found.name}")
         if found.T is not None:
@@ -55,7 +58,7 @@ def make(folder, model, photograph, camera=None, picture=None, points=None) -> l
                 said.append(f"camera: {line}")
             hints += _up(found.T)
     if points:
-        applied, lines = _points(folder / "pose.csv", points, world, unit)
+        applied, lines = _points(folder / "pose.csv", points, world, unit, k)
         said += lines
         if applied:
             facts, hints = hints, []
@@ -66,8 +69,8 @@ def make(folder, model, photograph, camera=None, picture=None, points=None) -> l
     return said + _missing(lamps, bool(points) or bool(found and found.T is not None), bool(found), hfov)
 
 
-def _photograph(path, photograph):
-    """(width, height) of the copy."""
+def _photograph(path, photograph, megapixels):
+    """((width, height) of the photograph, how many times smaller the copy is, a line to say)."""
     try:
         path.write_bytes(Path(photograph).read_bytes())
     except OSError as error:
@@ -75,10 +78,28 @@ def _photograph(path, photograph):
     if line := image.format_problem(path):
         raise BadInput(f"PHOTO: {line.replace(str(path), str(photograph))}")
     try:
-        height, width = image.read_photograph(path).values.shape[:2]
+        content = image.read_photograph(path)
     except BadInput as bad:
         raise BadInput(*(f"PHOTO: {p.replace(str(path), str(photograph))}" for p in bad.problems)) from None
-    return width, height
+    height, width = content.values.shape[:2]
+    k, said = reduced.times((width, height), megapixels), f"photograph: {width} x {height} px"
+    if k > 1:
+        path, said = _smaller(path, content, k), f"{said}, means of {k} x {k} pixels"
+        said += f" for memory and time (MEGAPIXELS={math.ceil(width * height / 1e6)} keeps all)"
+    return (width, height), k, f"{said} -> {path.name}"
+
+
+def _smaller(path, content, k):
+    """Writes it beside, in the place of the copy; its path."""
+    path.unlink()
+    values = reduced.picture(content.values, k)
+    path = path.with_suffix(".exr" if content.linear else ".png")
+    if content.linear:
+        image.write_exr(path, values)
+    else:
+        values = np.round(65535 * values).astype(np.uint16)
+        image.write_png16(path, values[..., 0] if values.shape[2] == 1 else values)
+    return path
 
 
 def _lamps(groups, emitters):
@@ -86,17 +107,17 @@ def _lamps(groups, emitters):
     return [g for g in groups if g in emitters] or [g for g in groups if LAMP.search(g)]
 
 
-def _points(path, points, model, unit):
+def _points(path, points, model, unit, k):
     """Write pose.csv in metres of the model's frame. (Is the model's likely unit written, too?, lines to say)
 
-    unit : _Unit or None
+    unit : _Unit or None;  k : how many times smaller the photograph was made
     """
     told = picks_.read(points).p
     found = picks_frame.reading(told, model.scaled(unit.metres if unit else 1.0))
     if found is None or (len(told) and found.corners == 0):
-        path.write_bytes(Path(points).read_bytes())
+        picks_.write_with(path, points, told, k)
         return False, [f"picks: {len(told)} -> pose.csv as they are: few of them are corners of the model"]
-    picks_.write_with(path, points, found.metres(told))
+    picks_.write_with(path, points, found.metres(told), k)
     said = "" if found[:2] == ("m", "X,Y,Z") else f", read as {found.words}, and written in metres of the model's frame"
     return unit is not None, [f"picks: {len(told)}, {found.corners} of them corners of the model{said} -> pose.csv"]
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
+from lib.given import reduced
 
 POINT = ("x_px", "y_px", "X", "Y", "Z")
 LINE = ("x1_px", "y1_px", "x2_px", "y2_px", "X1", "Y1", "Z1", "X2", "Y2", "Z2")
@@ -57,11 +58,16 @@ def read(points=None, lines=None) -> Picks:
     return Picks(q[:, :2], q[:, 2:], sigma, names, ends, p_ends, sigma_ends, line_names)
 
 
-def write_with(path, points, p):
-    """The points of a file as another one, with other X, Y, Z. p : (n, 3) m"""
+def write_with(path, points, p, k=1):
+    """The points of a file as another one, with other X, Y, Z, in a photograph k times smaller. p : (n, 3) m"""
     header, rows = _rows(points)
     for (_, row), place in zip(rows, p, strict=True):
-        for name, value in zip(POINT[2:], place, strict=True):
+        cell = dict(zip(header, row, strict=True))
+        new = dict(zip(POINT[2:], place, strict=True))
+        if k > 1:
+            new |= {name: reduced.place(float(cell[name]), k) for name in POINT[:2]}
+            new |= {"sigma_px": float(cell["sigma_px"]) / k} if "sigma_px" in cell else {}
+        for name, value in new.items():
             row[header.index(name)] = f"{value:.9g}"
     with open(path, "w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([header, *(row for _, row in rows)])

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from lib.core import artefact
 from lib.core.stage import BadInput
+from lib.planning import gallery
 
 # Seconds on the clock of a first run on two cores, 640 x 480 px; what grows with the photograph, and what does not
 TYPICAL = {
@@ -89,6 +90,7 @@ def main():
     parser.add_argument("--page", required=True)
     parser.add_argument("--stages", nargs="*", default=[])
     opt = parser.parse_args()
+    gallery.write(Path(opt.build).parent)
     print(summary(opt.build, opt.title, opt.page, opt.began, opt.stages))
 
 

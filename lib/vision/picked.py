@@ -44,6 +44,7 @@ class Found:
     focal_sigma_px : None where the focal length was known;  factor : of the picks' sigmas, that their residuals show
     residual_px : (n + m,) of points (inf behind the camera), then of lines (the farther end);  outlier : (n + m,) bool
     redundancy : equations beyond unknowns, of what is no outlier;  rivals : poses (4, 4) that explain as much
+    joint : (6 or 7, as many) the covariance with the logarithm of an unknown focal length
     """
 
     camera: Camera
@@ -54,6 +55,7 @@ class Found:
     outlier: np.ndarray
     redundancy: int
     rivals: tuple = ()
+    joint: np.ndarray | None = None
 
     @property
     def rms_px(self) -> float:
@@ -237,17 +239,8 @@ class _Fit:
         return Camera(K, self.camera.width, self.camera.height, T)
 
     def residuals(self, T, share):
-        """(2 (n + m),) px: of points in x and y, of lines the distances of both picked ends; nan behind the camera."""
-        camera, picks = self.posed(T, share), self.picks
-        of_points = (camera.project(picks.p) - picks.q).ravel()
-        if not len(picks.p_ends):
-            return of_points
-        seen = camera.points(picks.p_ends.reshape(-1, 3)) @ camera.K.T
-        line = np.cross(seen[0::2], seen[1::2])  # through both ends, also where one is behind the camera
-        length = np.linalg.norm(line[:, :2], axis=1)
-        ends = np.concatenate([picks.ends, np.ones((*picks.ends.shape[:2], 1))], axis=2)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.concatenate([of_points, (np.einsum("mek,mk->me", ends, line) / length[:, None]).ravel()])
+        """`_residuals` of a pose and a focal length."""
+        return _residuals(self.picks, self.posed(T, share))
 
     def settled(self) -> _Fit:
         """From a start that is far off: squares under a width that follows their median."""
@@ -361,19 +354,17 @@ class _Fit:
             )
         if turn > LOOSE_TURN:
             raise BadInput(f"the picked places do not tell the pose (sigma {np.degrees(turn):.0f} degrees)")
-        r = np.abs(np.nan_to_num(self.residuals(self.T, self.share), nan=np.inf))
-        n = 2 * len(self.picks.p)
-        of_points, of_lines = np.hypot(r[:n:2], r[1:n:2]), np.maximum(r[n::2], r[n + 1 :: 2])
         camera = self.posed(self.T, self.share)
         return Found(
             camera,
             covariance[:6, :6],
             None if focal_sigma is None else focal_sigma * camera.K[0, 0],
             self.factor,
-            np.concatenate([of_points, of_lines]),
+            residuals_px(self.picks, camera),
             self.outlier,
             redundancy,
             tuple(self._rivals(others)),
+            covariance,
         )
 
     def _rivals(self, others):
@@ -385,6 +376,26 @@ class _Fit:
             if all(_angle(other.T, T) > OTHER for T in kept):
                 kept.append(other.T)
         return kept[1:]
+
+
+def _residuals(picks, camera):
+    """(2 (n + m),) px: of points in x and y, of lines the distances of both picked ends; nan behind the camera."""
+    of_points = (camera.project(picks.p) - picks.q).ravel()
+    if not len(picks.p_ends):
+        return of_points
+    seen = camera.points(picks.p_ends.reshape(-1, 3)) @ camera.K.T
+    line = np.cross(seen[0::2], seen[1::2])  # through both ends, also where one is behind the camera
+    length = np.linalg.norm(line[:, :2], axis=1)
+    ends = np.concatenate([picks.ends, np.ones((*picks.ends.shape[:2], 1))], axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.concatenate([of_points, (np.einsum("mek,mk->me", ends, line) / length[:, None]).ravel()])
+
+
+def residuals_px(picks, camera) -> np.ndarray:
+    """(n + m,) px: of points, inf behind the camera, then of lines, the farther end."""
+    r = np.abs(np.nan_to_num(_residuals(picks, camera), nan=np.inf))
+    n = 2 * len(picks.p)
+    return np.concatenate([np.hypot(r[:n:2], r[1:n:2]), np.maximum(r[n::2], r[n + 1 :: 2])])
 
 
 def _angle(A, B):

@@ -19,6 +19,7 @@ REACH_PX = 16.0
 GRAIN_PX = 0.5  # of the profile
 PEAKS = 6  # at most, of one piece
 CONTRAST = 4.0  # times the noise
+SMOOTH = np.cos(np.radians(50))  # facets of one group and object that bend by less stand for a curved surface
 CLIPPED_PX, CLIPPED_BLUR_PX = 0.5, 0.4  # a pixel that shows a thirtieth of a lamp may be white: the lamp looks larger
 
 
@@ -28,6 +29,7 @@ class Samples:
 
     p : (N, 3) m, in the given model        q, normal : (N, 2) px        edge, owner, piece : (N,) int
     clear : (N,) px, how far the edge is alone        silhouette : (N,) bool, what lies behind is another object
+    smooth : (N,) bool, both sides are of one curved surface: no photograph shows such an edge
     """
 
     p: np.ndarray
@@ -38,6 +40,7 @@ class Samples:
     piece: np.ndarray
     clear: np.ndarray
     silhouette: np.ndarray
+    smooth: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ class Pieces:
     offset : (M, PEAKS) px, along the normal        share : (M, PEAKS), how strong, 0 where there is none
     none : (M,), how likely the edge is at none of them; shares and this add up to 1
     blur : (M, PEAKS) px, how far a peak may lie beside its edge: by what is clipped, by another edge, by shading
-    clipped : (M,) bool
+    clipped, smooth : (M,) bool
     """
 
     edge: np.ndarray
@@ -60,6 +63,7 @@ class Pieces:
     none: np.ndarray
     blur: np.ndarray
     clipped: np.ndarray
+    smooth: np.ndarray
 
     def part(self, chosen):
         return Pieces(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
@@ -101,7 +105,15 @@ def samples_of(world, state, model, edges, owner, line) -> Samples:
     piece = np.unique(np.column_stack([number, place // each]), axis=0, return_inverse=True)[1].reshape(-1)
     thing = np.append(model.facet_object, -1)[np.maximum(s.sides, -1)]
     behind = (thing[:, 0] != thing[:, 1]) & (s.sides >= -1).all(axis=1)
-    return Samples(p, s.q, s.normal, line[s.edge], mine, piece, s.clear, behind)
+    return Samples(p, s.q, s.normal, line[s.edge], mine, piece, s.clear, behind, _smooth(model, s.sides))
+
+
+def _smooth(model, sides):
+    """(N,) bool: both facets are of one object and group, and bend little."""
+    a, b = np.maximum(sides, 0).T
+    alike = (model.facet_object[a] == model.facet_object[b]) & (model.facet_group[a] == model.facet_group[b])
+    bend = np.einsum("ni,ni->n", model.facet_normal[a], model.facet_normal[b])
+    return (sides >= 0).all(axis=1) & alike & (bend > SMOOTH)
 
 
 def mean_by(piece, values, count=None):
@@ -141,7 +153,7 @@ def pieces_of(samples, level, reach=REACH_PX) -> Pieces:
     total = merit.sum(axis=1) + least
     merit = np.where(_claimed(samples, count, owner, offset), CLAIMED * merit, merit)
     share = merit / total[:, None]
-    return Pieces(edge, owner, px, weight, offset, share, 1 - share.sum(axis=1), blur, clipped)
+    return Pieces(edge, owner, px, weight, offset, share, 1 - share.sum(axis=1), blur, clipped, samples.smooth[first])
 
 
 def _no_step(profile, change, o, offset):

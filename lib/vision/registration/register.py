@@ -316,7 +316,8 @@ class Seen(NamedTuple):
 
 
 def seen(pieces, near_px=2.5, beside_px=8.0) -> Seen:
-    """How many pieces of edges are where they should be."""
+    """How many pieces of edges that a photograph can show are where they should be."""
+    pieces = pieces.part(~pieces.smooth)
     if len(pieces.edge) == 0:
         return Seen(0.0, 0.0, 0.0)
     hit = lambda x: ((np.abs(pieces.offset - x) < near_px) & (pieces.share > 0)).any(axis=1)
