@@ -101,6 +101,7 @@ class Measured:
     rows                      (points, kernels.COLUMNS)
     texture                   (plane, A) of the intensities, or None
     planar                    dense stereo shows one plane all over the region
+    unlike : (P,)             px by which each side may be off as a whole, where the photographs differ: profiles.py
     """
 
     plane: np.ndarray
@@ -117,6 +118,7 @@ class Measured:
     rows: np.ndarray
     texture: tuple | None = None
     planar: bool = False
+    unlike: np.ndarray | float = 0.0
 
     @classmethod
     def nothing(cls, plane, uv0, size: float):

@@ -21,7 +21,8 @@ NORMAL_U = 5  # of the right border
 PART = 6  # side of the outline
 SIGMA = 7  # px
 U, V = 8, 9  # rectified px of the left point
-COLUMNS = 10
+NORMAL_V = 10  # of the right border
+COLUMNS = 11
 
 
 class Border(NamedTuple):
@@ -71,7 +72,8 @@ def contour_rows(plane, centre, reach, scale, left, part, right, rows):
         rows[n, 0], rows[n, 1], rows[n, 2] = -nu * du0 / sigma, -nu * dv0 / sigma, -nu / sigma
         rows[n, RESIDUAL] = r / sigma
         rows[n, WEIGHT] = (1 - (r / cut) ** 2) ** 2 if abs(r) < cut else 0.0
-        rows[n, NORMAL_U], rows[n, PART], rows[n, SIGMA], rows[n, U], rows[n, V] = nu, part[k], sigma, luv[k, 0], v
+        rows[n, NORMAL_U], rows[n, NORMAL_V], rows[n, PART] = nu, nv, part[k]
+        rows[n, SIGMA], rows[n, U], rows[n, V] = sigma, luv[k, 0], v
         n += 1
     return n
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.vision import matching
-from lib.vision.facets import overlap, uncertainty
+from lib.vision.facets import overlap, profiles, uncertainty
 from lib.vision.facets.borders import Borders, borders, noise, noise_without_texture
 from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, in_holes, parts
 from lib.vision.facets.dense import DensePlane, disparities, textured
@@ -129,7 +129,7 @@ def reconstruct(
     fits = [_start(sight, int(l), int(r)) for l, r in zip(left, right, strict=True)]
     _trace_fits(trace, "outline", sight, fits)
     borders_alone = not intensities or method == "overlap"
-    levels = [] if borders_alone else smoothed_levels(pair, values, sight.noise_left)
+    levels = [] if borders_alone else smoothed_levels(pair, values, sight.noise[0])
     of_borders = _fit_overlap if method == "overlap" else _fit_contours
     steps = [("overlap" if method == "overlap" else "contours", lambda fit: of_borders(sight, fit, iterations))]
     steps += [("texture", lambda fit, level=level: _fit_texture(sight, fit, level)) for level in levels]
@@ -142,7 +142,8 @@ def reconstruct(
         _trace_fits(trace, name, sight, fits)
 
     least = overlap.WHOLE_PX if method == "overlap" else 0.0
-    measured, side_sigma = _with_uncertainty([fit if isinstance(fit, str) else fit.measured() for fit in fits], least)
+    measured = [fit if isinstance(fit, str) else fit.measured() for fit in fits]
+    measured, side_sigma = _with_uncertainty(sight, values, measured, least)
     _trace_measured(trace, sight, left, right, measured)
     found, refused = [], []
     for l, r, x in zip(left, right, measured, strict=True):
@@ -154,16 +155,20 @@ def reconstruct(
     return Reconstruction(found, refused, side_sigma)
 
 
-def _with_uncertainty(measured, least):
+def _with_uncertainty(sight, values, measured, least):
     """[(Measured, (P,) sigma of its sides) or why not], and the sigma of the pair's sides, at least `least`; px."""
-    factor = max(uncertainty.together([x for x in measured if isinstance(x, Measured)]), 1.0 if least else 0.0)
-    measured = [x.widened(factor) if isinstance(x, Measured) else x for x in measured]
-    known = [x for x in measured if isinstance(x, Measured)]
-    shape = lambda x: np.ones(len(x.C)) if least else uncertainty.asides(x)  # whole pixels are off either way
+    is_known = lambda x: isinstance(x, Measured)
+    factor = max(uncertainty.together([x for x in measured if is_known(x)]), 1.0 if least else 0.0)
+    measured = [x.widened(factor) if is_known(x) else x for x in measured]
+    if not least:  # whole pixels are off either way
+        differ = lambda x: replace(x, unlike=profiles.unlike(sight.pair, values, sight.noise, x))
+        measured = [differ(x) if is_known(x) else x for x in measured]
+    known = [x for x in measured if is_known(x)]
+    shape = lambda x: np.ones(len(x.C)) if least else uncertainty.asides(x)
     sigma = max(uncertainty.side_sigma(known, [shape(x) for x in known]), least)
     ordinary = uncertainty.ordinary_rms(known)
-    own = lambda x: uncertainty.own_side_sigma(x, sigma * shape(x), ordinary)
-    return [(x, own(x)) if isinstance(x, Measured) else x for x in measured], sigma
+    own = lambda x: uncertainty.own_side_sigma(x, np.hypot(sigma * shape(x), x.unlike), ordinary)
+    return [(x, own(x)) if is_known(x) else x for x in measured], sigma
 
 
 # -- what is measured of each pair of regions
@@ -177,7 +182,7 @@ class _Sight:
     views: tuple[matching.ViewArrays, matching.ViewArrays]
     regions: tuple[matching.RegionArrays, matching.RegionArrays]
     edges: tuple[Borders, Borders]
-    noise_left: float  # standard deviation of the photograph's noise
+    noise: tuple[float, float]  # standard deviation of the photographs' noise
 
 
 def _look(pair, labels, values, left, right):
@@ -187,7 +192,7 @@ def _look(pair, labels, values, left, right):
         borders(pair, labels[0], values[0], left, "left", sigma[0]),
         borders(pair, labels[1], values[1], right, "right", sigma[1]),
     )
-    return _Sight(pair, views, (matching.regions(views[0]), matching.regions(views[1])), edges, sigma[0])
+    return _Sight(pair, views, (matching.regions(views[0]), matching.regions(views[1])), edges, tuple(sigma))
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +311,7 @@ def _with_dense(sight, fits, values, labels, level):
     Elsewhere the intensities are not asked either: what they see there are penumbras and the blur of borders, and their
     planes are off by four sigma in the median, however few pixels they take.
     """
-    quieter = noise_without_texture(values[0], labels, sight.noise_left) / sight.noise_left
+    quieter = noise_without_texture(values[0], labels, sight.noise[0]) / sight.noise[0]
     level = level.quieter(quieter)
     of = {k: textured(level, fit.inner) for k, fit in enumerate(fits) if not isinstance(fit, str)}
     of = {k: pixels for k, pixels in of.items() if len(pixels)}

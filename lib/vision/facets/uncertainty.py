@@ -92,7 +92,7 @@ def asides(x: Measured) -> np.ndarray:
 def side_sigma(measured: list[Measured], shapes: list[np.ndarray]) -> float:
     """How far sides of outlines are off as a whole (slivers too thin to see, blur that differs left from right): px.
 
-    shapes : of each facet, (P,) how much farther than the answer each of its sides may be
+    shapes : of each facet, (P,) how much farther than the answer each of its sides may be, besides what it is unlike
 
     One number for the pair, by restricted likelihood. In one facet, what is common to a side's points cannot be told
     from the facet's own disparity. Over all facets it can, for a facet has more sides than unknowns. It is the rms
@@ -103,7 +103,7 @@ def side_sigma(measured: list[Measured], shapes: list[np.ndarray]) -> float:
     cost = np.zeros((len(measured), len(SIDE_SIGMAS)))
     for i, (x, shape) in enumerate(zip(measured, shapes, strict=True)):
         for k, s in enumerate(SIDE_SIGMAS):
-            A, b, square, volume = with_sides(x, s * shape)
+            A, b, square, volume = with_sides(x, np.hypot(s * shape, x.unlike))
             A = A + 1e-9 * np.eye(3)
             cost[i, k] = square - b @ np.linalg.solve(A, b) + volume + np.linalg.slogdet(A)[1]
     cost = cost.sum(axis=0)
