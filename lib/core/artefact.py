@@ -7,13 +7,17 @@ removes it (`remove_partials`, called by lib/planning/plan.py).
 
 import contextlib
 import json
+import lzma
+import math
 import os
 import re
 import shutil
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 
 PARTIAL = re.compile(r"^\..*\.partial-(\d+)(\.[^.]*)?$")
@@ -119,31 +123,8 @@ def write_json(path, value):
 
 
 def read_json(path):
-    """Any JSON value.  BadInput: not there, not UTF-8, not JSON, a NaN or infinity, a name used twice."""
-
-    def refuse(word):
-        raise ValueError(f"{word} is not a number")
-
-    def once(pairs):
-        value = {}
-        for key, item in pairs:
-            if key in value:
-                raise ValueError(f"{key!r} stands there twice")
-            value[key] = item
-        return value
-
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise BadInput(f"{path}: there is no such file") from None
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: not UTF-8: {error.reason} at byte {error.start}") from None
-    try:
-        return json.loads(text, parse_constant=refuse, object_pairs_hook=once)
-    except RecursionError:
-        raise BadInput(f"{path}: not readable JSON: nested too deep") from None
-    except ValueError as error:
-        raise BadInput(f"{path}: not readable JSON: {error}") from None
+    """Any JSON value.  BadInput: not there, not UTF-8, not JSON, a NaN or infinity, a name used twice, too deep."""
+    return bounded.json_of(path, bounded.content(path, bounded.LARGEST_TEXT))
 
 
 def write_npz(path, **arrays):
@@ -156,18 +137,47 @@ def write_npz(path, **arrays):
 
 def read_npz(path, *keys) -> dict:
     """The arrays of a .npz as a dict, all of them read; those named in `keys` must be there."""
-    import numpy as np
-
+    arrays = {}
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if not hasattr(file, "files"):
-                raise ValueError("one array, not an archive")
-            arrays = {name: file[name] for name in file.files}
+        with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
+            size = os.fstat(file.fileno()).st_size
+            bounded.check_unpacked(path, "arrays", size, sum(entry.file_size for entry in archive.infolist()))
+            for entry in archive.infolist():
+                name = entry.filename.removesuffix(".npy")
+                if name == entry.filename or name in arrays:
+                    raise ValueError(f"{entry.filename:.80} is no array, or stands there twice")
+                with archive.open(entry) as member:
+                    arrays[name] = _array(name, member, entry.file_size)
     except FileNotFoundError:
         raise BadInput(f"{path}: there is no such file") from None
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
+    except UNREADABLE as error:
         raise BadInput(f"{path}: not a readable .npz file: {error}") from None
     missing = [key for key in keys if key not in arrays]
     if missing:
         raise BadInput(*(f"{path}: {key}: the array is missing" for key in missing))
     return arrays
+
+
+# What zipfile and NumPy raise of a damaged archive: also of a method that is not known, or of an encrypted one
+UNREADABLE = (
+    *(ValueError, TypeError, OverflowError, EOFError, OSError, NotImplementedError, RuntimeError, SyntaxError),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError),
+)
+
+
+def _array(name, member, size):
+    """One array of `size` bytes, header included. ValueError: its header promises another size, or objects."""
+    import numpy as np
+
+    version = np.lib.format.read_magic(member)
+    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
+    if read is None:
+        raise ValueError(f"{name}: version {version} of NumPy's format")
+    shape, by_columns, kind = read(member)
+    count = math.prod(shape)
+    if kind.hasobject or kind.itemsize == 0 or kind.names or min(shape, default=0) < 0:
+        raise ValueError(f"{name}: {kind} {shape} is no plain array")
+    if count * kind.itemsize != size - member.tell():
+        raise ValueError(f"{name}: {shape} {kind} does not fit {size - member.tell()} bytes")
+    flat = np.frombuffer(bytearray(member.read()), kind)
+    return flat.reshape(shape, order="F" if by_columns else "C")

@@ -8,13 +8,18 @@ Axes: x right, y down, z forward; pixel (0, 0) is the centre of the top-left
 pixel. mrcal itself is not needed: its files are Python literals.
 """
 
-import ast
 import re
 from dataclasses import dataclass
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
+
+HEAD = 100_000  # bytes at the start of a file that tell what it is
+FARTHEST = 1e9  # px or m: the largest number of a camera
+MOST_TURN = 1e3  # rad, of a rotation vector
+SHORTEST_PX = 1e-3  # of a focal length
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,22 +155,20 @@ def _numbers(path, content, key, count):
     if not isinstance(value, (list, tuple)) or (count is not None and len(value) != count):
         raise BadInput(f"{path}: {key}: {count} numbers are needed, got {value!r:.80}")
     for number in value:
-        if (
-            isinstance(number, bool) or not isinstance(number, (int, float)) or not abs(number) < 1e300
-        ):  # also integers of 400 digits
-            raise BadInput(f"{path}: {key}: {number!r:.80} is not a finite number")
+        if isinstance(number, bool) or not isinstance(number, (int, float)) or not abs(number) <= FARTHEST:
+            raise BadInput(f"{path}: {key}: {number!r:.80} is not a number of at most {FARTHEST:g}")
     return np.array(value, float)
 
 
 def _literal(path, raw):
     """The Python literal that a camera file is. BadInput says what the file is instead, where that is known."""
-    text = raw.decode("utf-8-sig", "replace").strip()
+    text = raw[:HEAD].decode("utf-8-sig", "replace").strip()
     if not text:
         raise BadInput(f"{path}: the file is empty: not a camera model")
     try:
-        return ast.literal_eval(text)
-    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        wrong = _foreign(text) or _of_literal(error)
+        return bounded.literal_of(path, raw)
+    except ValueError as error:
+        wrong = _foreign(text) or error
     raise BadInput(f"{path}: not a camera model: {wrong}") from None
 
 
@@ -199,28 +202,13 @@ def _other_camera(content):
     return None
 
 
-def _of_literal(error):
-    """What Python says, in a user's words."""
-    message = str(error).splitlines()[0]
-    line = getattr(error, "lineno", None)
-    if found := re.search(r"(?:on line (\d+): )?<ast\.(\w+)", message):
-        where = f"line {found[1]}: " if found[1] else ""
-        return f"{where}{found[2].lower()} where a number, a text or a list should be"
-    return f"line {line}: {error.msg}" if line else message
-
-
 def parse(path, count_of):
     """(lens, intrinsics (n,), (4, 4) reference to camera, width, height) of a .cameramodel file, checked.
 
     count_of : lens -> how many intrinsics it has, or None for any number. It raises BadInput for a lens that the caller
     does not take.
     """
-    try:
-        with open(path, "rb") as file:
-            raw = file.read()
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    content = _literal(path, raw)
+    content = _literal(path, bounded.content(path, bounded.LARGEST_TEXT))
     if not isinstance(content, dict):
         raise BadInput(f"{path}: not a camera model: a {type(content).__name__} instead of a dictionary")
     if other := _other_camera(content):
@@ -235,11 +223,17 @@ def parse(path, count_of):
     key = "rt_cam_ref" if "extrinsics" not in content and "rt_cam_ref" in content else "extrinsics"
     rt = _numbers(path, content, key, 6)
     for name, focal in zip(("fx", "fy"), intrinsics[:2], strict=True):
-        if focal <= 0:
-            raise BadInput(f"{path}: intrinsics: {name} = {focal:g} is not positive")
+        if focal < SHORTEST_PX:
+            least = "not positive" if focal <= 0 else f"less than {SHORTEST_PX:g} px"
+            raise BadInput(f"{path}: intrinsics: {name} = {focal:g} is {least}")
     for name, length in zip(("width", "height"), size, strict=True):
         if length < 1 or length != int(length):
             raise BadInput(f"{path}: imagersize: {name} = {length:g} is not a whole positive number")
+        if length > bounded.WIDEST_PX:
+            raise BadInput(f"{path}: imagersize: {name} = {length:g} is more than a picture's {bounded.WIDEST_PX}")
+    if np.linalg.norm(rt[:3]) > MOST_TURN:
+        turn = np.linalg.norm(rt[:3])
+        raise BadInput(f"{path}: {key}: a rotation of {turn:g} rad is more than {MOST_TURN:g}")
     return lens, intrinsics, matrix_from_rt(rt), int(size[0]), int(size[1])
 
 

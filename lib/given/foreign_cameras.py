@@ -6,16 +6,18 @@ pixel is taken off their principal points.
 
 from __future__ import annotations
 
-import json
+import math
 import struct
+import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from lib.core import bounded, yaml_file
 from lib.core.stage import BadInput
 from lib.given import fspy, lenses
-from lib.given.cameras import matrix_from_rt, rt_from_matrix
+from lib.given.cameras import FARTHEST, SHORTEST_PX, matrix_from_rt, rt_from_matrix
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 # COLMAP's models: their number, the place of each of fx, fy, cx, cy, and of the parameters of mrcal's lens (-1: 0)
@@ -73,6 +75,7 @@ def read(path, size, image=None) -> Found:
     if not path.exists():
         raise BadInput(f"{path}: there is no such file")
     found = _read(path, size, image)
+    _check(path, found)
     if (found.width, found.height) != tuple(size):
         raise BadInput(
             f"{path}: size: {found.width} x {found.height} is not the photograph's {size[0]} x {size[1]}: "
@@ -81,10 +84,22 @@ def read(path, size, image=None) -> Found:
     return found
 
 
+def _check(path, found):
+    """BadInput: numbers that no camera has, or a pose that is no rotation and translation."""
+    T = np.eye(4) if found.T is None else found.T
+    for name, values in (("intrinsics", found.intrinsics), ("pose", T)):
+        if not (np.abs(values) <= FARTHEST).all():
+            raise BadInput(f"{path}: {name}: {np.ravel(values).tolist()!r:.80} are not numbers of at most {FARTHEST:g}")
+    if min(found.intrinsics[:2]) < SHORTEST_PX:
+        raise BadInput(f"{path}: focal length: {found.intrinsics[:2].tolist()} px is not positive")
+    if not np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-3 or np.linalg.det(T[:3, :3]) < 0:
+        raise BadInput(f"{path}: pose: {T[:3, :3].ravel().tolist()!r:.80} is no rotation")
+
+
 def _read(path, size, image):
     if path.is_dir() or path.name.split(".")[0] in ("cameras", "images") and path.suffix in (".txt", ".bin"):
         return _colmap(path if path.is_dir() else path.parent, image)
-    head = path.read_bytes()[:4000]
+    head = bounded.content(path)[:4000]
     if head.startswith(fspy.MAGIC) or b'"cameraTransform"' in head or b'"cameraParameters"' in head:
         camera = fspy.read(path)
         K = [camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]]
@@ -128,6 +143,8 @@ def _of_quaternion(q):
     from scipy.spatial.transform import Rotation
 
     w, x, y, z = q
+    if not 1e-9 < np.linalg.norm(q) < FARTHEST:
+        return np.zeros((3, 3))  # refused as no rotation
     return Rotation.from_quat([x, y, z, w]).as_matrix()
 
 
@@ -136,11 +153,11 @@ def _table(folder, name):
     text, binary = folder / f"{name}.txt", folder / f"{name}.bin"
     try:
         if binary.is_file():
-            return (_cameras_bin if name == "cameras" else _images_bin)(binary.read_bytes())
+            return (_cameras_bin if name == "cameras" else _images_bin)(bounded.content(binary))
         if text.is_file():
-            lines = [x for x in text.read_text(encoding="utf-8").split("\n") if not x.startswith("#")]
+            lines = [x for x in bounded.text(text).split("\n") if not x.startswith("#")]
             return (_cameras_txt if name == "cameras" else _images_txt)(lines)
-    except (ValueError, IndexError, KeyError, struct.error) as error:
+    except (ValueError, IndexError, KeyError, ArithmeticError, struct.error) as error:
         raise BadInput(f"{folder / name}: not readable: {type(error).__name__}: {error}") from None
     raise BadInput(f"{folder}: {name}.txt or {name}.bin is missing: COLMAP's cameras and images are both needed")
 
@@ -193,60 +210,88 @@ def _images_bin(data):
 def _blender(path):
     """What docs/blender_camera.py writes."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        told = bounded.json_of(path, bounded.content(path))
         lens, (sx, sy) = told["lens_px"], told["shift_px"]
         width, height = told["size_px"]
         T = FLIP @ np.linalg.inv(np.array(told["matrix_world"], float).reshape(4, 4))
-    except (ValueError, KeyError, TypeError, np.linalg.LinAlgError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BadInput(f"{path}: not a camera of docs/blender_camera.py: {type(error).__name__}: {error}") from None
     K = np.array([lens[0], lens[1], width / 2 - sx - 0.5, height / 2 + sy - 0.5])
     return Found("Blender", "LENSMODEL_PINHOLE", K, int(width), int(height), T)
 
 
-def _opencv(path, size):
-    """camera_matrix, distortion_coefficients, image_width, image_height, perhaps rvec and tvec."""
-    import cv2
+OPENCV_NAMES = {
+    "K": ("camera_matrix", "cameraMatrix", "K"),
+    "D": ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D"),
+    "r": ("rvec", "rotation"),
+    "t": ("tvec", "translation"),
+    "width": ("image_width", "imageWidth"),
+    "height": ("image_height", "imageHeight"),
+}
 
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError):
-        raise BadInput(f"{path}: not a readable file of OpenCV") from None
-    matrix = lambda *names: next((m for n in names if (m := _mat(storage.getNode(n))) is not None), None)
-    whole = lambda *names: next(
-        (int(storage.getNode(n).real()) for n in names if storage.getNode(n).isReal() or storage.getNode(n).isInt()),
-        None,
-    )
-    K = matrix("camera_matrix", "cameraMatrix", "K")
+
+def _opencv(path, size):
+    """camera_matrix, distortion_coefficients, image_width, image_height, perhaps rvec and tvec.
+
+    Our own reader: OpenCV's ends the process at a file of nested brackets.
+    """
+    told = _storage(path)
+    value = {key: next((told[n] for n in names if n in told), None) for key, names in OPENCV_NAMES.items()}
+    K, D, r, t = (_matrix(path, OPENCV_NAMES[key][0], value[key]) for key in "KDrt")
     if K is None or K.size != 9:
         raise BadInput(f"{path}: camera_matrix: 3 x 3 numbers are needed")
-    K = K.reshape(3, 3)
-    D = matrix("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
-    D = np.zeros(0) if D is None else D.ravel()
+    K, D = K.reshape(3, 3), np.zeros(0) if D is None else D.ravel()
     if len(D) not in OF_OPENCV:
         raise BadInput(f"{path}: distortion_coefficients: {len(D)} numbers; read are {', '.join(map(str, OF_OPENCV))}")
-    rt = matrix("rvec", "rotation"), matrix("tvec", "translation")
     T = None
-    if all(v is not None for v in rt):
-        r, t = (v.ravel() for v in rt)
-        r = rt_from_matrix(np.block([[r.reshape(3, 3), np.zeros((3, 1))], [np.eye(4)[3]]]))[:3] if len(r) == 9 else r
-        T = matrix_from_rt(np.concatenate([r, t]))
-    width, height = whole("image_width", "imageWidth"), whole("image_height", "imageHeight")
+    if r is not None and t is not None:
+        if r.size not in (3, 9) or t.size != 3:
+            raise BadInput(f"{path}: rvec, tvec: {r.size} and {t.size} numbers instead of 3 (or 9) and 3")
+        T = matrix_from_rt(np.concatenate([r.ravel()[:3], t.ravel()]))
+        T[:3, :3] = r.reshape(3, 3) if r.size == 9 else T[:3, :3]
+    whole = lambda key, default: int(value[key]) if isinstance(value[key], int | float) else default
     intrinsics = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], D])
     lens = f"LENSMODEL_{OF_OPENCV[len(D)]}"
-    return Found("OpenCV", lens, intrinsics, width or size[0], height or size[1], T)
+    return Found("OpenCV", lens, intrinsics, whole("width", size[0]), whole("height", size[1]), T)
 
 
-def _mat(node):
-    """An OpenCV matrix, or a plain list of numbers or of rows."""
-    if node.empty():
+def _storage(path) -> dict:
+    """What OpenCV's FileStorage wrote, by name: YAML, JSON or XML."""
+    content = bounded.content(path, bounded.LARGEST_TEXT)
+    start = content.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if start.startswith(b"<"):
+        try:
+            return {element.tag: _of_element(element) for element in ElementTree.fromstring(content)}
+        except (ElementTree.ParseError, ValueError) as error:
+            raise BadInput(f"{path}: not readable XML: {error}") from None
+    if start.startswith(b"{"):
+        told = bounded.json_of(path, content)
+        return told if isinstance(told, dict) else {}
+    names = [name for several in OPENCV_NAMES.values() for name in several]
+    return yaml_file.read_opencv(path, bounded.text_of(path, content), names)
+
+
+def _of_element(element):
+    """A number, a list of numbers, or a table; None of what is none of these."""
+    if len(element):
+        return {child.tag: _of_element(child) for child in element}
+    try:
+        numbers = [float(word) for word in (element.text or "").split()]
+    except ValueError:
+        return None
+    return numbers[0] if len(numbers) == 1 and element.tag != "data" else numbers
+
+
+def _matrix(path, name, value):
+    """An OpenCV matrix, or a plain list of numbers or of rows; None where there is none."""
+    if value is None:
         return None
     try:
-        if (value := node.mat()) is not None:
-            return np.array(value, float)
-    except Exception:  # a plain list
-        pass
-    if node.isSeq():
-        items = [node.at(k) for k in range(node.size())]
-        rows = [[i.at(k).real() for k in range(i.size())] if i.isSeq() else [i.real()] for i in items]
-        return np.array(rows, float)
-    return None
+        data = np.array(value["data"] if isinstance(value, dict) else value, float)
+        if isinstance(value, dict):
+            sides = value["sizes"] if "sizes" in value else [value["rows"], value["cols"]]
+            if list(sides) != [int(side) for side in sides] or data.size != math.prod(sides):
+                raise ValueError(f"{data.size} numbers instead of {' x '.join(map(str, sides)):.40}")
+        return data
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(f"{path}: {name}: no matrix: {type(error).__name__}: {error}") from None

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 from lib.given import strangers_files
 from lib.given.cameras import matrix_from_rt
@@ -26,10 +27,7 @@ CUBE_FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 
 def convert(path) -> tuple[dict, list]:
     """({name in the scene's folder: content}, lines to say).  BadInput: a format that is not read, a damaged file."""
     path = Path(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    content = bounded.content(path)
     kind = strangers_files.kind_of(content)
     if kind == "a GLB file":
         return {"model.glb": content}, []
@@ -42,11 +40,14 @@ def convert(path) -> tuple[dict, list]:
         return {"model.obj": _Mitsuba(path, content).obj()}, []
     if kind:
         raise BadInput(f"{path}: is {kind}: {strangers_files.way_out(kind)}")
-    files, libraries = {"model.obj": content}, _libraries(content)
-    for name in libraries:
-        if (beside := path.parent / name).is_file() and beside.parent == path.parent:
-            files[name] = beside.read_bytes()
-    return files, []
+    files, said = {"model.obj": content}, []
+    for name in _libraries(content):
+        beside = path.parent / name
+        if beside.parent != path.parent or name in ("", ".", ".."):
+            said.append(f"mtllib {name:.80} lies outside the model's folder and is ignored")
+        elif beside.is_file() and name not in files:
+            files[name] = bounded.content(beside, bounded.LARGEST_TEXT)
+    return files, said
 
 
 def _libraries(content):
@@ -70,10 +71,10 @@ def emitters(files) -> list[str]:
         elif name.endswith(".glb"):
             try:
                 length = int.from_bytes(content[12:16], "little")
-                for material in json.loads(content[20 : 20 + length]).get("materials", []):
+                for material in bounded.json_of(name, content[20 : 20 + length]).get("materials", []):
                     if any(material.get("emissiveFactor", [])):
                         found.append(material.get("name"))
-            except (ValueError, AttributeError):
+            except (BadInput, AttributeError, TypeError):
                 pass
     return [name for name in dict.fromkeys(found) if name]
 
@@ -91,13 +92,13 @@ def _number(text):
 def _packed(path, content):
     """A GLB of a .gltf and its buffers, which lie beside it or in it."""
     try:
-        gltf = json.loads(content.decode("utf-8-sig"))
+        gltf = bounded.json_of(path, content)
         binary, starts = bytearray(), []
         for buffer in gltf.get("buffers", []):
             starts.append(len(binary))
             uri = buffer.pop("uri")
             inline = uri.startswith("data:")
-            data = base64.b64decode(uri.partition(",")[2]) if inline else (path.parent / uri).read_bytes()
+            data = base64.b64decode(uri.partition(",")[2]) if inline else bounded.content(_beside(path, uri))
             binary += data[: buffer["byteLength"]] + bytes(-buffer["byteLength"] % 4)
         for view in gltf.get("bufferViews", []):
             view["byteOffset"] = view.get("byteOffset", 0) + starts[view.get("buffer", 0)]
@@ -105,14 +106,19 @@ def _packed(path, content):
         gltf["buffers"] = [{"byteLength": len(binary)}]
         for key in ("images", "textures"):  # pictures are not read, and may lie elsewhere
             gltf.pop(key, None)
-    except FileNotFoundError as error:
-        raise BadInput(f"{path}: buffers: {error.filename}: there is no such file") from None
-    except (ValueError, KeyError, IndexError, TypeError) as error:
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(f"{path}: not readable glTF: {type(error).__name__}: {error}") from None
     words = json.dumps(gltf).encode()
     parts = [(b"JSON", words + b" " * (-len(words) % 4)), (b"BIN\0", bytes(binary))]
     body = b"".join(struct.pack("<I4s", len(data), kind) + data for kind, data in parts)
     return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+def _beside(path, name):
+    """The path of a file that a model names. BadInput: it lies outside the model's folder."""
+    if bounded.lies_outside(name):
+        raise BadInput(f"{path}: {name:.80} lies outside the model's folder")
+    return path.parent / name
 
 
 # ---- PLY, STL, and what Mitsuba names ----
@@ -196,12 +202,12 @@ class _Mitsuba:
             return CUBE, CUBE_FACES
         if kind in ("ply", "stl", "obj"):
             name = next((s.get("value") for s in shape.findall("string") if s.get("name") == "filename"), None)
-            file = self.path.parent / (name or "")
+            file = _beside(self.path, name or "")
             if not file.is_file():
                 raise BadInput(f"{self.path}: shape {shape.get('id')}: {file}: there is no such file")
             if kind != "obj":
                 return _mesh(file, kind)
-            lines = file.read_bytes().splitlines()
+            lines = bounded.content(file).splitlines()
             content = b"usemtl x\n" + b"\n".join(x for x in lines if not x.lstrip().startswith(b"usemtl"))
             polygons = read_obj(str(file), content)
             return polygons.vertices, np.split(polygons.corners, polygons.starts[1:-1])

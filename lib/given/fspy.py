@@ -6,12 +6,11 @@ the horizontal field of view are of that side. The camera looks along -z, y up; 
 
 from __future__ import annotations
 
-import json
 import struct
-from pathlib import Path
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 from lib.given.cameras import Camera
 
@@ -19,27 +18,28 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 MAGIC = b"fspy"
 METRES = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Meters": 1.0, "Kilometers": 1e3, "Inches": 0.0254}
 METRES |= {"Feet": 0.3048, "Miles": 1609.344, "No unit": 1.0}
+UNREADABLE = (ValueError, KeyError, TypeError, IndexError, AttributeError, ArithmeticError, struct.error)
 DISTANCE = 10.0  # to the origin, where no distance is told
 AXES = {f"{'xyz'[k]}{sign}": s * np.eye(3)[k] for k in range(3) for sign, s in (("Positive", 1), ("Negative", -1))}
 
 
 def read(path) -> Camera:
     """The camera of a .fspy project or of fSpy's JSON. BadInput: not one, or control points that tell no camera."""
-    content = Path(path).read_bytes()
+    content = bounded.content(path)
     try:
         if content.startswith(MAGIC):
             version, size, _ = struct.unpack_from("<III", content, 4)
             if version != 1:
                 raise BadInput(f"{path}: version {version} of fSpy's projects is not known")
-            state = json.loads(content[16 : 16 + size].decode("utf-8"))
+            state = bounded.json_of(path, content[16 : 16 + size])
             metres = METRES[state["calibrationSettingsBase"].get("referenceDistanceUnit", "No unit")]
             told = state.get("cameraParameters")
             solved = _told(told) if told else _solved(path, state)
         else:
-            told = json.loads(content.decode("utf-8-sig"))
+            told = bounded.json_of(path, content)
             metres = 1.0
             solved = _told(told.get("cameraParameters", told))
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, struct.error) as error:
+    except UNREADABLE as error:
         raise BadInput(f"{path}: not a readable file of fSpy: {type(error).__name__}: {error}") from None
     f, (x, y), T_view, width, height = solved
     unit = max(width, height) / 2

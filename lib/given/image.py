@@ -4,17 +4,15 @@ Arrays are indexed [y, x] or [y, x, channel], channels in the order R, G, B.
 """
 
 import os
-import struct
-import warnings
-import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
-from lib.given import jpeg, strangers_files
+from lib.given import jpeg, picture_files, strangers_files
 from lib.given.transfer import display_of_linear
 
 MAY_CLIP = 0.25  # share of a noisy surface's pixels that may be clipped: its median is not
@@ -23,6 +21,7 @@ SKEWED, OUTLIER = 0.1, 4.0  # mean cube of second differences in sigmas; held do
 ENOUGH = 300_000  # pixels that tell of the noise
 _OF_SECOND = 6.0
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF"}  # as Pillow names them
+MOST_CHANNELS = 8  # of an EXR
 OTHER_COLOURS = ("CMYK", "LAB", "YCbCr", "HSV")  # modes of Pillow that are no R, G, B. A JPEG's YCbCr comes as RGB
 
 
@@ -81,16 +80,12 @@ def _second_differences(values, step):
 
 def format_problem(path) -> str | None:
     """What the file's header says against it as a photograph: another format than its name, colours that are no RGB."""
-    from PIL import Image
-
     path = Path(path)
     if path.suffix == ".exr":
         return None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path) as picture:
-                format, mode = picture.format, picture.mode
+        with picture_files.opened(path) as picture:
+            format, mode = picture.format, picture.mode
     except Exception:  # decoding says what is wrong
         return None
     wanted = FORMATS.get(path.suffix)
@@ -121,7 +116,7 @@ def read_photograph(path) -> Photograph:
     in_file = values.shape[2]
     if in_file == 3 and (values[..., :1] == values).all():
         values = values[..., :1]
-    data = Path(path).read_bytes() if path.lower().endswith((".jpg", ".jpeg")) else b""
+    data = bounded.content(path) if path.lower().endswith((".jpg", ".jpeg")) else b""
     blocks = jpeg.blocks(data)
     if blocks is not None:
         blocks = blocks._replace(first=_first_block(values.shape, blocks.px, turn))
@@ -143,13 +138,9 @@ TURNS = {
 
 def orientation(path) -> int:
     """1 to 8, as EXIF has it; 1 where a file tells nothing sensible."""
-    from PIL import Image
-
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path) as picture:
-                turn = picture.getexif().get(274)
+        with picture_files.opened(path) as picture:
+            turn = picture.getexif().get(274)
     except Exception:  # whatever is wrong with the file or its EXIF: decoding says what matters
         return 1
     return turn if turn in TURNS else 1
@@ -252,22 +243,43 @@ def read_exr(path) -> np.ndarray:
     import OpenEXR
 
     path = os.fspath(path)
-    _content(path)
+    content, said = _content(path), []
     try:
-        with OpenEXR.File(path, separate_channels=True) as file:
-            header, channels = file.header(), file.channels()
-            window = [tuple(int(v) for v in np.ravel(header[name])) for name in ("dataWindow", "displayWindow")]
-            pixels = {name: np.array(channel.pixels, float) for name, channel in channels.items()}
+        with picture_files.heard() as said:
+            window = _check_exr(path, len(content))
+            with OpenEXR.File(path, separate_channels=True) as file:
+                pixels = {name: np.array(channel.pixels, float) for name, channel in file.channels().items()}
+    except BadInput:
+        raise
     except Exception as error:  # the package raises plain RuntimeError, TypeError, ...
-        raise BadInput(f"{path}: not a readable EXR: {' '.join(str(error).split()) or type(error).__name__}") from None
+        if not said:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise BadInput(f"{path}: not a readable EXR: {why}") from None
+    if said:
+        raise BadInput(f"{path}: damaged: {said[0].removeprefix(f'{path}: ')}")
     if window[0] != window[1]:
         raise BadInput(f"{path}: dataWindow: {window[0]} is not the whole picture {window[1]}")
     names = set(pixels) - {"A"}
-    if names == {"R", "G", "B"}:
+    if names == {"R", "G", "B"} and len({pixels[name].shape for name in names}) == 1:
         return np.stack([pixels[name] for name in "RGB"], axis=-1)
     if len(names) == 1 and names <= {"Y", "Z"}:
         return pixels[names.pop()]
     raise BadInput(f"{path}: channels: {', '.join(sorted(pixels))} instead of R, G, B or Y or Z")
+
+
+def _check_exr(path, size):
+    """The data window and the display window, (x0, y0, x1, y1) px each. BadInput: too large, or other channels."""
+    import OpenEXR
+
+    with OpenEXR.File(path, header_only=True) as file:
+        header = file.header()
+        windows = [tuple(int(v) for v in np.ravel(header[name])) for name in ("dataWindow", "displayWindow")]
+        count = len(header["channels"])
+    x0, y0, x1, y1 = windows[0]
+    bounded.check_picture(path, x1 - x0 + 1, y1 - y0 + 1, size)
+    if count > MOST_CHANNELS:
+        raise BadInput(f"{path}: channels: {count} instead of R, G, B or Y or Z")
+    return windows
 
 
 def write_exr(path, values, name="Y"):
@@ -286,59 +298,44 @@ def write_exr(path, values, name="Y"):
 
 def _content(path):
     """The file's bytes; BadInput where there are none."""
-    try:
-        with open(path, "rb") as file:
-            content = file.read()
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    content = bounded.content(path)
     if not content:
         raise BadInput(f"{path}: the file is empty")
     return content
 
 
 def _decode(path):
-    """What OpenCV reads, silently; BadInput where it reads nothing, or the file is damaged."""
-    import cv2
-
+    """What OpenCV reads of a PNG, a JPEG or a TIFF; BadInput where it reads nothing, or the file is damaged."""
     content = _content(path)
-    # The decoders fill in what is missing and only grumble, so look for the end of the file first.
-    if content.startswith(b"\x89PNG\r\n\x1a\n"):
-        _check_png(path, content)
-    elif content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content[-1024:]:
-        raise BadInput(f"{path}: truncated: {len(content)} bytes without the end of a JPEG")
-    level = cv2.utils.logging.getLogLevel() if hasattr(cv2.utils, "logging") else None
-    try:
-        if level is not None:
-            cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        image = None
-    finally:
-        if level is not None:
-            cv2.utils.logging.setLogLevel(level)
+    size = picture_files.check(path, content)
+    image, said = _of_opencv(content) if size else (None, [])
+    if said:
+        raise BadInput(f"{path}: damaged: {said[0]}")
     if image is None or image.size == 0:
         kind = strangers_files.kind_of(content)
         what = f"is {kind}: " if kind else ""
         if kind == "a pointer of Git LFS":
             raise BadInput(f"{path}: {what}git lfs pull fetches the picture")
         raise BadInput(f"{path}: {what}not a readable image ({len(content)} bytes)")
+    if image.shape[1::-1] != size:
+        shown = f"{image.shape[1]} x {image.shape[0]}"
+        raise BadInput(f"{path}: damaged: {shown} px are there, {size[0]} x {size[1]} are announced")
     return image
 
 
-def _check_png(path, content):
-    """Every chunk whole, its checksum right, the last one IEND."""
-    at = 8
-    while True:
-        if at + 12 > len(content):
-            raise BadInput(f"{path}: truncated: the PNG ends at byte {len(content)} before its last chunk")
-        length, kind = struct.unpack(">I4s", content[at : at + 8])
-        chunk = f"chunk {kind.decode('ascii', 'replace')} at byte {at}"
-        if at + 12 + length > len(content):
-            left = len(content) - at - 12
-            raise BadInput(f"{path}: truncated: {chunk} needs {length} bytes, {left} are there")
-        (check,) = struct.unpack(">I", content[at + 8 + length : at + 12 + length])
-        if zlib.crc32(content[at + 4 : at + 8 + length]) != check:
-            raise BadInput(f"{path}: damaged: {chunk} has a wrong checksum")
-        at += 12 + length
-        if kind == b"IEND":
-            return
+def _of_opencv(content):
+    """(pixels or None, what the decoder says of damage)"""
+    import cv2
+
+    level = cv2.utils.logging.getLogLevel() if hasattr(cv2.utils, "logging") else None
+    with picture_files.heard() as said:
+        try:
+            if level is not None:
+                cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            image = None
+        finally:
+            if level is not None:
+                cv2.utils.logging.setLogLevel(level)
+    return image, said

@@ -12,12 +12,13 @@ Every field but `groups` may be missing in a file that somebody wrote by hand; i
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from lib.core import artefact, record
+from lib.core import artefact, bounded, record
 from lib.core.record import (
     Wrong,
     flag,
@@ -46,8 +47,10 @@ SCALES = ("lamps", "reference", "interreflection", "convention")
 
 def _textures(value):
     for facet, file in record.table(value).items():
-        if not facet.isdecimal() or not isinstance(file, str):
+        if not (re.fullmatch("[0-9]{1,9}", facet) and isinstance(file, str)):
             raise Wrong(f"has {facet}: {file!r}, which is not a facet's number and a file")
+        if bounded.lies_outside(file):
+            raise Wrong(f"has {facet}: {file!r}, which lies outside the folder of the file")
     return {int(facet): file for facet, file in value.items()}
 
 

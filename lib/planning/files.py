@@ -1,11 +1,11 @@
 """Names of given files, and quick looks into them; the stages read them in earnest."""
 
-import ast
-import json
+import functools
 import re
 from pathlib import Path
 from typing import NamedTuple
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 
 SIDES = ("left", "right")
@@ -67,7 +67,7 @@ def _groups_of_obj(data) -> set[str]:
 
 def _groups_of_glb(data) -> set[str] | None:
     length = int.from_bytes(data[12:16], "little")
-    names = {material["name"] for material in json.loads(data[20 : 20 + length])["materials"]}
+    names = {material["name"] for material in bounded.json_of("model", data[20 : 20 + length])["materials"]}
     return names if data[:4] == b"glTF" else None
 
 
@@ -109,16 +109,25 @@ def further_files(folder) -> list[Path]:
 def model_groups(path) -> set[str] | None:
     """The groups of a model as its text names them, or None where they cannot be told."""
     try:
-        return GROUPS_OF[path.suffix[1:]](path.read_bytes())
-    except (OSError, ValueError, KeyError, TypeError):
+        return GROUPS_OF[path.suffix[1:]](bounded.content(path))
+    except (BadInput, KeyError, TypeError):
         return None
 
 
 def lens_of(path) -> str | None:
     """The lens model that a camera file names, or None where the file cannot be read."""
     try:
-        return ast.literal_eval(path.read_text(encoding="utf-8"))["lensmodel"]
-    except (OSError, ValueError, SyntaxError, KeyError, TypeError, RecursionError, MemoryError):
+        status = path.stat()
+    except OSError:
+        return None
+    return _lens_of(path, status.st_size, status.st_mtime_ns)
+
+
+@functools.lru_cache
+def _lens_of(path, *_):
+    try:
+        return bounded.literal_of(path, bounded.content(path, bounded.LARGEST_TEXT))["lensmodel"]
+    except (BadInput, ValueError, KeyError, TypeError):
         return None
 
 

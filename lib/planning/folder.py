@@ -1,7 +1,5 @@
 """What the scene's folder holds, checked before any stage runs."""
 
-import zipfile
-
 from lib.core import artefact
 from lib.core.stage import BadInput
 from lib.given.units import METRES
@@ -150,8 +148,8 @@ def _given_results(scene, found):
                     yield line
             elif path.suffix == ".json":
                 artefact.read_json(path)
-            elif not zipfile.is_zipfile(path):
-                yield f"{path}: not a readable .npz file"
+            else:
+                artefact.read_npz(path)
         except BadInput as bad:
             yield from bad.problems
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lib.core.stage import BadInput
+from lib.core.yaml_file import read_yaml
 from lib.planning.files import export_kind, here
-from lib.planning.yaml_file import read_yaml
 
 REPORTS = "*.report.json"  # of the planned stages above
 CHANGED = "augmented.*"  # what those of them write that make entries of scene.yaml: a picture each, or a sequence

@@ -6,10 +6,12 @@ Only the standard library: this runs at every `make`.
 """
 
 import argparse
-import json
 import struct
 import time
 from pathlib import Path
+
+from lib.core import artefact
+from lib.core.stage import BadInput
 
 # Seconds on the clock of a first run on two cores, 640 x 480 px; what grows with the photograph, and what does not
 TYPICAL = {
@@ -45,9 +47,9 @@ def pixels(photograph) -> int | None:
 
 def _read(path):
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        found = artefact.read_json(path)
         return found if isinstance(found, dict) else {}
-    except (OSError, ValueError):
+    except BadInput:
         return {}
 
 

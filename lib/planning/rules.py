@@ -7,8 +7,8 @@ import argparse
 import json
 import math
 import re
-from pathlib import Path
 
+from lib.core.bounded import lies_outside
 from lib.core.stage import option_of
 from lib.given import causes, transfer_kinds
 from lib.given.kinds import KINDS
@@ -234,7 +234,7 @@ def scene_file(key, value, scene):
     """A file of the scene's folder."""
     if not isinstance(value, str) or not value or "|" in value:
         yield key, value, "is not a file's name"
-    elif outside(value):
+    elif lies_outside(value):
         yield key, value, "lies outside the scene's folder"
     elif not scene.given(value):
         yield key, value, "is not in the scene's folder"
@@ -272,26 +272,12 @@ def goals(value, known, scene):
     for goal in value:
         if not isinstance(goal, str) or not goal:
             yield "goals", goal, "is not a file's name"
-        elif outside(goal):
+        elif lies_outside(goal):
             yield "goals", goal, "lies outside the scene's folder"
         elif not (goal in known or AUGMENTED.fullmatch(goal)) and not (
             scene.given(goal) and "|" not in goal and not goal.startswith("truth/")
         ):
             yield "goals", goal, f"is neither made by a stage nor given{alike(goal, known)}"
-
-
-def outside(path) -> bool:
-    """An absolute path, or one that climbs.
-
-    >>> outside("a/../../b"), outside("/a"), outside("a/../b")
-    (True, True, False)
-    """
-    depth = 0
-    for part in Path(path).parts:
-        depth += -1 if part == ".." else 1
-        if depth < 0 or part == "/":
-            return True
-    return False
 
 
 def exports(value, kinds):

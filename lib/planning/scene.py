@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lib.core.stage import BadInput
+from lib.core.yaml_file import read_yaml
 from lib.given.transfer_kinds import OF_PICTURE
 from lib.planning import augment, near_misses, rules
 from lib.planning.files import (
@@ -32,7 +33,6 @@ from lib.planning.files import (
 from lib.planning.folder import folder_problems
 from lib.planning.near_misses import alike
 from lib.planning.rules import KEYS, show
-from lib.planning.yaml_file import read_yaml
 
 IN_METRES = "model.metres.glb"
 POSED_MODEL = "model.posed.glb"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lib.core.yaml_file import read_yaml
 from lib.given import cameras, image
-from lib.planning.yaml_file import read_yaml
 from lib.synthetic.geometry import Polygon
 from lib.synthetic.recipe import obj_text
 from lib.synthetic.sight import coarse_view

@@ -201,7 +201,7 @@ MISTAKES = {
         "is a table of numbers: not a camera model",
     ),
     "empty camera": (written(CAMERA, ""), "left.posed.cameramodel: the file is empty"),
-    "a name in the camera": (edited(CAMERA, "45.", "nan,"), "name where a number, a text or a list should be"),
+    "a name in the camera": (edited(CAMERA, "45.", "nan,"), "name nan where a number, a text or a list should be"),
     "no extrinsics": (edited(CAMERA, "'extrinsics'", "'pose'"), "extrinsics: is missing"),
     "camera-to-world": (posed(np.linalg.inv), "is it camera-to-world? extrinsics are world-to-camera"),
     "looks along -z": (both(table, posed(lambda T: FLIP @ T)), "does it look along -z? x right, y down, z forward"),

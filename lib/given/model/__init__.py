@@ -9,7 +9,7 @@ piece of one object and one group.  The frame is the file's, the unit is the met
 
 import os
 
-from lib.core.stage import BadInput
+from lib.core import bounded
 from lib.given.model.glb import read_glb
 from lib.given.model.mesh import Model, build
 from lib.given.model.obj import read_obj
@@ -25,11 +25,7 @@ def load(path, metres=1.0) -> Model:
     cross themselves are triangulated; each leaves a warning.
     """
     path = os.fspath(path)
-    try:
-        with open(path, "rb") as file:
-            content = file.read()
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    content = bounded.content(path)
     read = next((reader for start, reader in MARKED.items() if content.startswith(start)), read_obj)
     polygons = read(path, content)
     return build(path, polygons._replace(vertices=metres * polygons.vertices))

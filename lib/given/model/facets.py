@@ -6,6 +6,8 @@ import numpy as np
 
 from lib.given.model.polygons import FLAT, following
 
+CROWD = 16  # polygons at one edge of an object; where there are more, only those next to each other are compared
+
 
 class Edges(NamedTuple):
     """The sides of all polygons, sorted by position, then by object."""
@@ -70,14 +72,21 @@ def _closed(edges, pieces, n_objects):
 
 
 def _neighbours(edges, pieces, n, area):
-    """Polygons of one object that share an edge, are of one group, and face the same way."""
+    """Polygons of one object that share an edge, are of one group, and face the same way.
+
+    Of the many at a crowded edge each is compared with those next to it as they turn round the edge: all with all would
+    be as many pairs as the square of their number.
+    """
+    crowded = np.bincount(edges.run)[edges.run] > CROWD if len(edges.run) else np.zeros(0, bool)
     left, right, length = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
-    times = np.bincount(edges.run)
-    for step in range(1, times.max() if len(times) else 1):
-        i = np.flatnonzero(edges.run[step:] == edges.run[:-step])
+    for step in range(1, CROWD):
+        i = np.flatnonzero((edges.run[step:] == edges.run[:-step]) & ~crowded[step:])
         if len(i) == 0:
             break
         left.append(edges.polygon[i]), right.append(edges.polygon[i + step]), length.append(edges.length[i])
+    if crowded.any():
+        a, b = _around(edges, n, np.flatnonzero(crowded))
+        left.append(edges.polygon[a]), right.append(edges.polygon[b]), length.append(edges.length[a])
     left, right, length = np.concatenate(left), np.concatenate(right), np.concatenate(length)
     alike = (pieces.group[left] == pieces.group[right]) & (left != right)
     alike &= np.einsum("ij,ij->i", n[left], n[right]) > 0.99
@@ -86,6 +95,29 @@ def _neighbours(edges, pieces, n, area):
     width = np.stack([area[left], area[right]]) / length
     bend = np.where(sine < 0.05, sine * width.min(axis=0) / width.max(axis=0), np.inf)
     return Neighbours(left, right, bend)
+
+
+def _around(edges, n, crowded):
+    """Pairs of crowded sides, (indices, indices), whose polygons follow each other round their edge, in a ring."""
+    run = edges.run[crowded]
+    first = n[edges.polygon[crowded[np.searchsorted(run, run)]]]  # of the first polygon at the same edge
+    own = n[edges.polygon[crowded]]
+    across = np.cross(first, own)
+    side = np.einsum("ij,ij->i", across, across[_farthest(run, across)])
+    turn = np.arctan2(np.copysign(np.linalg.norm(across, axis=1), side), np.einsum("ij,ij->i", first, own))
+    order = crowded[np.lexsort((turn, run))]
+    run = edges.run[order]
+    start = np.searchsorted(run, run)
+    last = np.append(run[1:] != run[:-1], True)
+    after = np.where(last, start, np.arange(len(order)) + 1)
+    return order, order[after]
+
+
+def _farthest(run, across):
+    """(n,) for each side the one at the same edge that turns farthest from the first: it tells the sense of turning."""
+    length = np.linalg.norm(across, axis=1)
+    order = np.lexsort((length, run))
+    return order[np.searchsorted(run[order], run, side="right") - 1]
 
 
 def _bent(vertices, pieces, n, facet, n_facets):

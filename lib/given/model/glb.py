@@ -6,12 +6,12 @@ objects and facets differ from run to run.  Nodes lose their order.  Materials w
 triangle fan is dropped silently.  A truncated file is a bare AssertionError, and an index out of range is not noticed.
 """
 
-import json
 import struct
 from typing import NamedTuple
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 from lib.given.model.polygons import Polygons
 
@@ -45,9 +45,12 @@ def read_glb(path, content) -> Polygons:
             length, kind = struct.unpack_from("<I4s", content, at)
             chunks.setdefault(kind, content[at + 8 : at + 8 + length])
             at += 8 + length
-        reader = _Reader(path, json.loads(chunks[b"JSON"]), chunks.get(b"BIN\0", b""))
+        gltf = bounded.json_of(path, chunks[b"JSON"])
+        if not isinstance(gltf, dict):
+            raise TypeError("the JSON is no table")
+        reader = _Reader(path, gltf, chunks.get(b"BIN\0", b""))
         return _polygons(path, list(reader.meshes()), reader.gltf.get("extras") or {})
-    except (KeyError, IndexError, TypeError, ValueError, struct.error) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, struct.error) as error:
         raise BadInput(f"{path}: not a readable GLB: {type(error).__name__}: {error}") from None
 
 
@@ -145,6 +148,8 @@ class _Reader:
         kind, width = np.dtype(KIND[a["componentType"]]), WIDTH[a["type"]]
         start = view.get("byteOffset", 0) + a.get("byteOffset", 0)
         stride = view.get("byteStride", kind.itemsize * width)
+        if stride < kind.itemsize * width:
+            raise BadInput(f"{self.path}: accessor {index}: byteStride: {stride} is less than a value's bytes")
         end = start + stride * (a["count"] - 1) + kind.itemsize * width
         if a["count"] and end > len(self.binary):
             there = len(self.binary)

@@ -11,6 +11,8 @@ from lib.given.model.lids import Lids, lids
 from lib.given.model.polygons import planar_pieces
 from lib.given.model.triangles import triangulated
 
+FARTHEST = 1e12  # the largest coordinate: squares and cubes of it stay far from the end of the numbers
+
 
 @dataclass(frozen=True, eq=False)
 class Model:
@@ -105,6 +107,13 @@ def build(path, polygons) -> Model:
     if len(polygons.starts) < 2:
         raise BadInput(f"{path}: faces: the model has none")
     vertices = polygons.vertices
+    far = np.argwhere(~(np.abs(vertices) <= FARTHEST))
+    if len(far):
+        number, axis = far[0]
+        value = vertices[number, axis]
+        raise BadInput(
+            f"{path}: vertex {number + 1}: {'xyz'[axis]} = {value:g} is not a number of at most {FARTHEST:g}"
+        )
     position = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)
     pieces, warnings, crossed = planar_pieces(path, polygons, position)
     facet_of_piece, closed = joined(vertices, position, pieces, len(polygons.objects))

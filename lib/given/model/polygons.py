@@ -7,6 +7,7 @@ import numpy as np
 from lib.core.stage import BadInput
 from lib.given.model.triangles import ears
 
+MANY, MOST_WORK = 256, 2e8  # corners; the sum of their squares over polygons of more of them
 FLAT = 1e-3  # polygons are coplanar within this part of their size (data/SCENE.md, section 2)
 
 
@@ -89,6 +90,11 @@ def planar_pieces(path, polygons, position) -> tuple[Pieces, list[str], int]:
     vertices = polygons.vertices
     corners, starts = _without_repeated(polygons, position)
     size, warnings = np.diff(starts), []
+    if (size[size > MANY].astype(float) ** 2).sum() > MOST_WORK:  # what ears take for polygons that cross themselves
+        raise BadInput(
+            f"{path}: faces: {np.count_nonzero(size > MANY)} of more than {MANY} corners, the largest of {size.max()}: "
+            "cut them into triangles"
+        )
     area_vector, diameter, height = shapes(vertices, corners, starts)
     area = np.linalg.norm(area_vector, axis=1)
     rounding = 4 * np.finfo(float).eps * np.abs(vertices).max()
