@@ -5,21 +5,18 @@ import pytest
 
 from lib.core import artefact, bounded, yaml_file
 from lib.core.stage import BadInput
-from tests.helpers import confined, hostile
+from tests.helpers import confined, fuzz, hostile
 
 
 @pytest.fixture(scope="module", autouse=True)
 def loaded():
     """What the readers import is loaded before the memory is bounded."""
-    import cv2  # noqa: F401
     import mapbox_earcut  # noqa: F401
-    import OpenEXR  # noqa: F401
-    import PIL.Image  # noqa: F401
     import scipy.sparse.csgraph  # noqa: F401
-    import trimesh  # noqa: F401
 
-    from lib.given import foreign_cameras, foreign_models, model  # noqa: F401
     from lib.planning import plan  # noqa: F401
+
+    fuzz.load()
 
 
 @pytest.mark.parametrize("case", hostile.CASES)
@@ -127,6 +124,24 @@ def test_facets_of_a_crowded_edge_do_not_depend_on_their_number(count, tmp_path)
     assert model.load(path).n_facets == 1
 
 
+# ---- spoilt by chance; python -m tests.bench.fuzz spoils more ----
+
+COUNT, SEED = 40, 7
+
+
+@pytest.mark.parametrize("kind", fuzz.KINDS)
+def test_spoilt_files_are_refused_or_good(kind, tmp_path):
+    """No traceback, hang or crash, at most 1 GB and 5 s, a line for each problem, and nothing that is not finite."""
+    for content, outcome in fuzz.run(fuzz.KINDS[kind], tmp_path, COUNT, SEED):
+        assert outcome.end in ("accepted", "refused"), (outcome, content[:500])
+        assert all("\n" not in line for line in outcome.lines)
+
+
+def test_the_same_seed_spoils_alike():
+    kind = fuzz.KINDS["materials.json"]
+    assert list(fuzz.inputs(kind, 9, 1)) == list(fuzz.inputs(kind, 9, 1)) != list(fuzz.inputs(kind, 9, 2))
+
+
 # ---- pictures that are damaged ----
 
 
@@ -187,7 +202,7 @@ def test_a_damaged_exr_is_refused_without_a_word_beside(tmp_path, capfd):
     content = bytearray((tmp_path / "a.exr").read_bytes())
     content[len(content) // 2] ^= 16
     (tmp_path / "a.exr").write_bytes(content)
-    with pytest.raises(BadInput, match=r"a.exr: damaged: .*pixel data"):
+    with pytest.raises(BadInput, match=r"a.exr: damaged: "):
         image.read_exr(tmp_path / "a.exr")
     assert capfd.readouterr() == ("", "")
 

@@ -125,11 +125,15 @@ def _colmap(folder, image):
         asked = "say which: " if image is None else f"{image} is not there; "
         raise BadInput(f"{folder}: IMAGE: {asked}IMAGE=... is one of {', '.join(names[:5])}{more}")
     camera, q, t = images[image]
+    if camera not in cameras:
+        raise BadInput(f"{folder}: images: {image}: camera {camera} is not among the cameras")
     model, width, height, params = cameras[camera]
     if model not in COLMAP:
         raise BadInput(
             f"{folder}: camera {camera}: {model}: run COLMAP's image_undistorter; read are {', '.join(COLMAP)}"
         )
+    if len(params) != COUNT[model]:
+        raise BadInput(f"{folder}: camera {camera}: {model} has {COUNT[model]} parameters, {len(params)} are there")
     _, place, more = COLMAP[model]
     intrinsics = np.array([params[k] for k in place] + [params[k] if k >= 0 else 0.0 for k in more])
     intrinsics[2:4] -= 0.5
@@ -214,10 +218,11 @@ def _blender(path):
         lens, (sx, sy) = told["lens_px"], told["shift_px"]
         width, height = told["size_px"]
         T = FLIP @ np.linalg.inv(np.array(told["matrix_world"], float).reshape(4, 4))
+        K = np.array([lens[0], lens[1], width / 2 - sx - 0.5, height / 2 + sy - 0.5], float)
+        width, height = int(width), int(height)
     except (ValueError, KeyError, TypeError, IndexError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise BadInput(f"{path}: not a camera of docs/blender_camera.py: {type(error).__name__}: {error}") from None
-    K = np.array([lens[0], lens[1], width / 2 - sx - 0.5, height / 2 + sy - 0.5])
-    return Found("Blender", "LENSMODEL_PINHOLE", K, int(width), int(height), T)
+    return Found("Blender", "LENSMODEL_PINHOLE", K, width, height, T)
 
 
 OPENCV_NAMES = {
@@ -249,10 +254,14 @@ def _opencv(path, size):
             raise BadInput(f"{path}: rvec, tvec: {r.size} and {t.size} numbers instead of 3 (or 9) and 3")
         T = matrix_from_rt(np.concatenate([r.ravel()[:3], t.ravel()]))
         T[:3, :3] = r.reshape(3, 3) if r.size == 9 else T[:3, :3]
-    whole = lambda key, default: int(value[key]) if isinstance(value[key], int | float) else default
     intrinsics = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], D])
     lens = f"LENSMODEL_{OF_OPENCV[len(D)]}"
-    return Found("OpenCV", lens, intrinsics, whole("width", size[0]), whole("height", size[1]), T)
+    sides = [value["width"], value["height"]]
+    sides = [
+        int(told) if isinstance(told, int | float) and abs(told) < FARTHEST else own
+        for told, own in zip(sides, size, strict=True)
+    ]
+    return Found("OpenCV", lens, intrinsics, *sides, T)
 
 
 def _storage(path) -> dict:
@@ -293,5 +302,5 @@ def _matrix(path, name, value):
             if list(sides) != [int(side) for side in sides] or data.size != math.prod(sides):
                 raise ValueError(f"{data.size} numbers instead of {' x '.join(map(str, sides)):.40}")
         return data
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise BadInput(f"{path}: {name}: no matrix: {type(error).__name__}: {error}") from None

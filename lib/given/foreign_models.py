@@ -134,11 +134,16 @@ def _mesh(path, kind):
 
     try:
         mesh = trimesh.load(str(path), file_type=kind, force="mesh", process=False)
-        points, faces = np.array(mesh.vertices, float), np.array(mesh.faces, int)
+        points, faces = np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
     except Exception as error:  # whatever the package raises
         raise BadInput(f"{path}: not readable: {type(error).__name__}: {error}") from None
     if not len(faces):
         raise BadInput(f"{path}: has no faces")
+    if faces.min() < 0 or faces.max() >= len(points):
+        wrong = faces[(faces < 0) | (faces >= len(points))][0]
+        raise BadInput(f"{path}: face index {wrong} is out of range (0 to {len(points) - 1})")
+    if not np.isfinite(points).all():
+        raise BadInput(f"{path}: vertex {np.argwhere(~np.isfinite(points))[0][0]} is not finite")
     used, index = np.unique(points, axis=0, return_inverse=True)  # STL repeats each corner
     return used, index.reshape(-1)[faces]
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 from lib.given import lenses
 from lib.given.cameras import towards
@@ -22,12 +23,10 @@ def read_csv(path) -> np.ndarray:
     BadInput: another header, a field that is no finite number, a view along the z axis, an eye where it looks at.
     """
     try:
-        with open(path, newline="", encoding="utf-8") as file:
-            rows = [(k, row) for k, row in enumerate(csv.reader(file), 1) if row and not row[0].startswith("#")]
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: not UTF-8: {error.reason}") from None
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+        lines = csv.reader(bounded.text(path).splitlines(), strict=True)
+        rows = [(k, row) for k, row in enumerate(lines, 1) if row and not row[0].startswith("#")]
+    except csv.Error as error:
+        raise BadInput(f"{path}: not a readable CSV file: {error}") from None
     header = [word.strip() for word in rows[0][1]] if rows else []
     if header != HEADER:
         raise BadInput(f"{path}: header: {','.join(header)} is not {','.join(HEADER)}")

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 
 POINT = ("x_px", "y_px", "X", "Y", "Z")
@@ -86,14 +87,10 @@ def _table(path, columns):
 
 def _rows(path):
     """(header, [(number of the line, cells)]), without comments and empty lines."""
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            lines = file.read().splitlines()
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: not a text file in UTF-8: {error.reason}") from None
+    lines = bounded.text(path).splitlines()
     kept = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     try:
-        cells = [[cell.strip() for cell in row] for row in csv.reader([line for _, line in kept], strict=True)]
+        cells = [[cell.strip() for cell in next(csv.reader([line], strict=True))] for _, line in kept]
     except csv.Error as error:
         raise BadInput(f"{path}: not a readable CSV file: {error}") from None
     if not cells:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 from lib.given import image as pictures
 
@@ -322,7 +323,7 @@ def read_vnl(path, corners):
 
     corners : (nx, ny) of the board
     """
-    views = _views(path, _text(path))
+    views = _views(path, bounded.text(path))
     _check_counts(path, views, corners)
     names = _shots(views)
     nx, ny = corners
@@ -334,15 +335,6 @@ def read_vnl(path, corners):
                 both = np.array(views[name], float).reshape(ny, nx, 3)
                 q[side, n], level[side, n] = both[..., :2], both[..., 2]
     return Boards(tuple(map(tuple, names)), q, level)
-
-
-def _text(path):
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: not UTF-8: {error.reason} at byte {error.start}") from None
 
 
 def _views(path, text):

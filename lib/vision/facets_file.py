@@ -17,6 +17,7 @@ from lib.core import artefact, record
 from lib.core.record import flag, list_of, matrix, number, numbers, part, told, word
 from lib.core.stage import BadInput
 
+LARGEST = 1e12  # of any number in the file
 UNITS = ("m", "baseline")
 
 
@@ -156,10 +157,10 @@ def _reciprocal(where, plane):
 
 
 def _finite(where, name, values):
-    """As an array; JSON's 1e999 is infinite."""
+    """As an array of numbers that are not too large to be squared."""
     array = np.array(values, float)
-    if not np.isfinite(array).all():
-        raise BadInput(f"{where}: {name}: finite numbers are needed, got {values!r:.60}")
+    if not (np.abs(array) <= LARGEST).all():
+        raise BadInput(f"{where}: {name}: numbers of at most {LARGEST:g} are needed, got {values!r:.60}")
     return array
 
 

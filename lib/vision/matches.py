@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 
 COLUMNS = ("left_label", "right_label", "similarity")
@@ -14,9 +15,8 @@ COLUMNS = ("left_label", "right_label", "similarity")
 def read_matches(path) -> list[tuple[int, int, float]]:
     """[(left label, right label, similarity)] of matches.csv, best first.  BadInput names line, column and value."""
     try:
-        with open(path, newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file, strict=True))
-    except (csv.Error, UnicodeDecodeError) as error:
+        rows = list(csv.reader(bounded.text(path).splitlines(), strict=True))
+    except csv.Error as error:
         raise BadInput(f"{path}: not a readable CSV file: {error}") from None
     if not rows or tuple(rows[0]) != COLUMNS:
         raise BadInput(f"{path}: header: {','.join(rows[0]) if rows else 'nothing'!r} is not {','.join(COLUMNS)!r}")
@@ -24,7 +24,7 @@ def read_matches(path) -> list[tuple[int, int, float]]:
     for line, row in enumerate(rows[1:], 2):
         try:
             match = int(row[0]), int(row[1]), float(row[2])
-            if len(row) != 3 or not math.isfinite(match[2]):
+            if len(row) != 3 or not math.isfinite(match[2]) or max(match[:2]) >= 1 << 31 or min(match[:2]) < 0:
                 raise ValueError
         except (ValueError, IndexError):
             raise BadInput(f"{path}: line {line}: {','.join(row)!r} is not two labels and a number") from None

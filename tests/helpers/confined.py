@@ -89,6 +89,7 @@ def _child(jobs, keep, writer):
         with open(os.devnull, "w") as nothing:
             os.dup2(nothing.fileno(), 1), os.dup2(nothing.fileno(), 2)
         _confine()
+        gc.freeze()  # what is loaded need not be looked at again and again
         with os.fdopen(writer, "wb", buffering=0) as answers:
             for job in jobs:
                 outcome = _outcome(job, keep)
