@@ -38,12 +38,20 @@ NAMES := $(sort $(foreach wish,$(WISHES),$(firstword $(subst /, ,$(wish)))))
 demo: run-office-stereo
 all: $(SCENES:%=run-%)
 
+# Another make of the same scene is waited for: they would write the same files.  The system ends the lock with its owner.
+define alone
+if [ -d "$(1)" ] && command -v flock >/dev/null; then exec 9<"$(1)"; \
+  flock -n 9 || { echo "$(1): another make is at work: waiting for it" >&2; flock 9; }; fi
+endef
+
 define scene
 $(filter-out run-$(1),$(filter $(1) $(1)/%,$(WISHES))): run-$(1) ; @:
 run-$(1): setup
 	+@[ -e .venv/ready ] || { echo '# the plan of $(1) is known once .venv is there'; exit 0; }; \
+	$$(call alone,$$(BUILD)/$(1)); \
 	$$(PYTHON) -m lib.planning.plan --data "$$(DATA)" --build "$$(BUILD)" --python $$(PYTHON) \
 	  $(filter $(1) $(1)/%,$(WISHES)); \
+	$$(call alone,$$(BUILD)/$(1)); \
 	$$(MAKE) -f "$$(BUILD)/$(1)/plan.mk"
 endef
 $(foreach name,$(NAMES),$(eval $(call scene,$(name))))

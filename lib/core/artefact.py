@@ -45,6 +45,10 @@ def writing_all(*paths):
                 raise RuntimeError(f"{path} was promised but not written")
         for partial, path in zip(partials, paths, strict=True):
             os.replace(partial, path)
+    except OSError as error:
+        if error.filename is None:  # a full disk does not say of which file
+            error.filename = os.fspath(paths[0])
+        raise
     finally:
         for partial in partials:
             with contextlib.suppress(FileNotFoundError):

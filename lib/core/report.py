@@ -103,8 +103,8 @@ def versions() -> dict[str, str]:
 class Report:
     """A context manager; the file appears whole when the block ends well, and not at all when it raises."""
 
-    def __init__(self, path, inputs=(), arguments=None):
-        self.path, self.arguments = path, dict(arguments or {})
+    def __init__(self, path, inputs=(), arguments=None, outputs=()):
+        self.path, self.arguments, self.outputs = path, dict(arguments or {}), outputs
         self.inputs = [os.fspath(p) for p in inputs if p]
         self.status = "complete"
         self.warnings, self.errors, self._trace = [], [], []
@@ -115,7 +115,7 @@ class Report:
     @classmethod
     def of(cls, opt, more_inputs=()):
         """The report of a stage whose options are those of `stage.parser`."""
-        return cls(opt.report, [*stage.inputs(opt), *more_inputs], stage.arguments(opt))
+        return cls(opt.report, [*stage.inputs(opt), *more_inputs], stage.arguments(opt), stage.outputs(opt))
 
     def __enter__(self):
         missing = [p for p in self.inputs if not os.path.exists(p)]
@@ -192,6 +192,10 @@ class Report:
                 "versions": versions(),
                 "inputs": {p: sha256(p) for p in self.inputs if os.path.isfile(p)},
             }
+        if self.path:
+            here = os.path.dirname(self.path) or "."
+            there = [path for path in self.outputs if os.path.isfile(path)]
+            described["output_bytes"] = {os.path.relpath(path, here): os.path.getsize(path) for path in there}
         cpu, wall = self.clocks()
         waited = wall + sum(apart.wall for apart in self._apart.values())
         fields = {"status": self.status, "wall_s": wall, "cpu_s": cpu, "waited_s": waited, "peak_mb": peak_mb()}

@@ -15,6 +15,7 @@ and ends
 """
 
 import argparse
+import errno
 import json
 import os
 import signal
@@ -40,13 +41,14 @@ MENDABLE = (
     IsADirectoryError,
     NotADirectoryError,
 )  # by the user, if they name a file
+LACKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENOMEM, errno.EMFILE)  # of the machine
 
 
 def run(main, parser, argv=None):
     """Parse argv and call main(opt).
 
-    Bad input: one line per problem on stderr, exit status 2.  A bug keeps its traceback.  Without argv this is the
-    process's own command, and the process ends here.
+    Bad input: one line per problem on stderr, exit status 2.  What the machine lacks, room or memory: one line, exit
+    status 1.  A bug keeps its traceback.  Without argv this is the process's own command, and the process ends here.
     """
     name = os.path.basename(parser.prog)
     # one line, no usage
@@ -54,6 +56,7 @@ def run(main, parser, argv=None):
     opt = parser.parse_args(argv)
     _forget_missing(opt)
     signal.signal(signal.SIGTERM, _terminate)
+    status = 2
     try:
         main(opt)
     except BadInput as bad:
@@ -62,6 +65,12 @@ def run(main, parser, argv=None):
         if error.filename is None:
             raise
         problems = (f"{os.fsdecode(error.filename)}: {error.strerror}",)
+    except MemoryError:
+        status, problems = 1, ("there is not enough memory: nothing of it was written",)
+    except OSError as error:
+        if error.errno not in LACKS or error.filename is None:
+            raise
+        status, problems = 1, (f"{os.fsdecode(error.filename)}: {error.strerror}: nothing of it was written",)
     except KeyboardInterrupt:
         print(f"{name}: interrupted: nothing of it was written", file=sys.stderr)
         sys.exit(128 + signal.SIGINT)
@@ -74,7 +83,7 @@ def run(main, parser, argv=None):
         return
     for problem in problems:
         print(f"{name}: {problem}", file=sys.stderr)
-    sys.exit(2)
+    sys.exit(status)
 
 
 def _terminate(*_):
@@ -111,6 +120,7 @@ def parser(doc, *, reads="", may_read="", may_lack="", writes="", may_write="", 
             result.add_argument(option_of(name), required=required)
     result.add_argument("--report")
     inputs = [*reads.split(), *may_read.split(), *may_lack.split()]
+    result.set_defaults(_outputs=[*writes.split(), *may_write.split()])
     result.set_defaults(_inputs=inputs, _may_lack=may_lack.split(), _refined=refined.split())
     return result
 
@@ -127,6 +137,11 @@ def _forget_missing(opt):
 def inputs(opt) -> list[str]:
     """The files that a stage was given to read."""
     return list(dict.fromkeys(path for name in opt._inputs if (path := getattr(opt, name))))
+
+
+def outputs(opt) -> list[str]:
+    """The files that a stage was told to write."""
+    return list(dict.fromkeys(path for name in opt._outputs if (path := getattr(opt, name))))
 
 
 def arguments(opt) -> dict:

@@ -3,6 +3,7 @@
 Arrays are indexed [y, x] or [y, x, channel], channels in the order R, G, B.
 """
 
+import errno
 import os
 from dataclasses import dataclass
 from functools import cached_property
@@ -292,8 +293,11 @@ def write_exr(path, values, name="Y"):
     planes = {name: values} if values.ndim == 2 else {c: values[..., i] for i, c in enumerate("RGB")}
     channels = {c: np.ascontiguousarray(plane, np.float32) for c, plane in planes.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, channels) as file:
-        file.write(os.fspath(path))
+    try:
+        with OpenEXR.File(header, channels) as file:
+            file.write(os.fspath(path))
+    except RuntimeError as error:  # a full disk
+        raise OSError(errno.EIO, " ".join(str(error).rpartition('". ')[2].split()).rstrip(".")) from None
 
 
 def _content(path):

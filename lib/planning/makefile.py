@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lib.core import artefact
 from lib.core.stage import BadInput
-from lib.planning import folder, progress
+from lib.planning import folder, health, progress
 from lib.planning.command import command, imports
 from lib.planning.files import OBJECTS, PHOTOGRAPH, PHOTOS, PICKED, further_files, here, object_files
 from lib.planning.walk import explain
@@ -37,6 +37,7 @@ CHECK = (
 def write(plan, python, root=ROOT, title=None):
     """Write plan.mk and the command files, each only where its content changes; given files are opened first."""
     checked = inspect(plan)
+    health.mend(plan)
     text, commands = makefile(plan, python, root, title)
     commands |= checked
     plan.build.mkdir(parents=True, exist_ok=True)
@@ -141,7 +142,7 @@ def _copying(plan, goal, commands):
     stamp, partial = plan.build / "commands" / f"copy.{goal}", plan.build / "scratch" / "copy" / goal
     commands[stamp] = _stamp(given) + "\n"
     return (
-        f"{_make(target)}: {_make(given)} {_make(stamp)}\n"
+        f"{_make(target)}: {'' if health.is_late(given) else _make(given)} {_make(stamp)}\n"
         f"\t@mkdir -p -- {_shell([partial.parent, target.parent])}\n"
         f"\t{_shell(['cp', '--', given, partial])} && {_shell(['mv', '--', partial, target])}\n"
     )
@@ -168,6 +169,9 @@ def _running(plan, stage, python, root, commands):
     if stage.name in plan.again and not plan.is_draft:
         rule = replace(rule, inputs=[*rule.inputs, *_of_draft(plan, stage)], recipe=_again(plan, stage, rule))
     prerequisites = [*rule.inputs, stage.script, *(here(path) for path in imports(stage.script, root)), rule.stamp]
+    late = [path for path in map(Path, prerequisites) if health.is_late(path)]
+    commands[rule.stamp] += "".join(f"{_stamp(path)}\n" for path in late if path not in rule.inputs)
+    prerequisites = [path for path in prerequisites if Path(path) not in late]
     head = f"{' '.join(map(_make, rule.targets))} &: \\\n  {' '.join(map(_make, dict.fromkeys(prerequisites)))}"
     return "\n".join([head, *rule.recipe]) + "\n"
 
