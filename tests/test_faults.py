@@ -1,0 +1,118 @@
+"""Clocks, two makes at once, truncated artefacts, full disks.  python -m tests.bench.faults does it to real stages."""
+
+import errno
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from lib.core import artefact, stage
+from lib.core.report import Report
+
+DAY_S = 86_400
+
+
+def later(path, seconds=DAY_S):
+    when = time.time() + seconds
+    os.utime(path, (when, when))
+
+
+def test_a_photograph_from_the_future_makes_no_loop(toy):
+    """It did: every make ran every stage."""
+    later(toy.room / "left.png")
+    status, ran, said = toy.make("room")
+    assert status == 0 and "fit" in ran
+    assert said.count("its time lies in the future") == 1 and "Clock skew" not in said
+    assert toy.make("room")[:2] == (0, [])
+    toy.give(**{"left.png": "another photo"})
+    later(toy.room / "left.png", 2 * DAY_S)
+    assert toy.make("room")[1][0] == "see", "another photograph is noticed, though its time lies in the future"
+
+
+def test_scripts_from_the_future_make_no_loop(toy):
+    later(toy.folder / "stages/see.py")
+    assert toy.make("room")[0] == 0
+    assert toy.make("room")[:2] == (0, [])
+
+
+def test_a_given_goal_from_the_future_is_copied_once(toy):
+    toy.give(**{"later.txt": "given"})
+    toy.scene("goals: [later.txt]\nlamps: {lamp: [1, 1, 1]}")
+    later(toy.room / "later.txt")
+    assert toy.make("room")[0] == 0 and toy.read("later.txt") == "given"
+    before = (toy.out / "later.txt").stat().st_mtime_ns
+    assert toy.make("room")[0] == 0 and (toy.out / "later.txt").stat().st_mtime_ns == before
+
+
+def test_a_clock_that_was_put_back_hides_no_edit(toy):
+    """It did: what was built seemed newer than any edit."""
+    assert toy.make("room")[0] == 0
+    for path in toy.out.rglob("*"):
+        later(path, DAY_S + path.stat().st_mtime - time.time())
+    status, ran, said = toy.make("room")
+    assert (status, ran) == (0, []) and said.count("lie in the future") == 1, said
+    toy.give(**{"left.png": "another photo"})
+    assert toy.make("room")[1][0] == "see" and "another photo" in toy.read("materials.json")
+
+
+@pytest.mark.parametrize("name", ["regions.txt", "materials.json", "fit.report.json"])
+def test_a_truncated_artefact_is_made_again(toy, name):
+    assert toy.make("room")[0] == 0
+    whole = {p: p.read_bytes() for p in toy.out.iterdir() if p.is_file() and p.suffix in (".txt", ".json")}
+    (toy.out / name).write_bytes(whole[toy.out / name][:5])
+    status, ran, said = toy.make("room")
+    assert status == 0 and ran and name in said, said
+    assert {p: p.read_bytes() for p in whole} == whole
+    assert toy.make("room")[:2] == (0, [])
+
+
+def test_two_makes_at_once_do_the_work_once(toy):
+    assert toy.make("room/see")[0] == 0  # the folder of the lock is there
+    words = ["make", f"PYTHON={sys.executable}", "room"]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k != "MFLAGS"}
+    (toy.folder / "ran").unlink()
+    both = [subprocess.Popen(words, cwd=toy.folder, stderr=subprocess.PIPE, text=True, env=environment) for _ in "ab"]
+    said = [one.communicate(timeout=100)[1] for one in both]
+    assert [one.returncode for one in both] == [0, 0], said
+    ran = (toy.folder / "ran").read_text().split()
+    assert sorted(ran) == sorted(set(ran)), ran
+
+
+def raising(error):
+    def main(opt):
+        raise error
+
+    return main
+
+
+@pytest.mark.parametrize(
+    "error, line",
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "b/a.npz"), "b/a.npz: No space left on device"),
+        (OSError(errno.EROFS, "Read-only file system", "b/a.npz"), "b/a.npz: Read-only file system"),
+        (MemoryError(), "there is not enough memory"),
+    ],
+)
+def test_what_the_machine_lacks_is_one_line_and_exit_1(error, line, capsys):
+    with pytest.raises(SystemExit) as end:
+        stage.run(raising(error), stage.parser("x"), [])
+    said = capsys.readouterr().err
+    assert end.value.code == 1 and line in said and said.endswith(": nothing of it was written\n")
+    assert len(said.splitlines()) == 1
+
+
+def test_a_full_disk_names_the_file(tmp_path):
+    """The system says so of a write, and does not say of which file."""
+    with pytest.raises(OSError) as full, artefact.writing(tmp_path / "a.json"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert full.value.filename == str(tmp_path / "a.json") and not list(tmp_path.iterdir())
+
+
+def test_a_report_knows_how_large_its_files_are(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/a.txt").write_text("four")
+    with Report(tmp_path / "a.report.json", outputs=[str(tmp_path / "out/a.txt"), str(tmp_path / "none.txt")]):
+        pass
+    assert artefact.read_json(tmp_path / "a.report.json")["output_bytes"] == {"out/a.txt": 4}
