@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 from lib.given import foreign_cameras, foreign_models, image, lenses, sight
 from lib.given import model as models
@@ -59,9 +60,9 @@ def make(folder, model, photograph, camera=None, picture=None) -> list[str]:
 def _photograph(path, photograph):
     """(width, height) of the copy."""
     try:
-        path.write_bytes(Path(photograph).read_bytes())
-    except OSError as error:
-        raise BadInput(f"PHOTO: {photograph}: cannot be read: {error.strerror}") from None
+        path.write_bytes(bounded.content(photograph))
+    except BadInput as bad:
+        raise BadInput(*(f"PHOTO: {problem}" for problem in bad.problems)) from None
     if line := image.format_problem(path):
         raise BadInput(f"PHOTO: {line.replace(str(path), str(photograph))}")
     try:
