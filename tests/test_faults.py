@@ -57,7 +57,7 @@ def test_a_clock_that_was_put_back_hides_no_edit(toy):
     assert toy.make("room")[1][0] == "see" and "another photo" in toy.read("materials.json")
 
 
-@pytest.mark.parametrize("name", ["regions.txt", "materials.json", "fit.report.json"])
+@pytest.mark.parametrize("name", ["regions.txt", "depth.txt", "materials.json", "fit.report.json", "see.report.json"])
 def test_a_truncated_artefact_is_made_again(toy, name):
     assert toy.make("room")[0] == 0
     whole = {p: p.read_bytes() for p in toy.out.iterdir() if p.is_file() and p.suffix in (".txt", ".json")}
@@ -65,6 +65,14 @@ def test_a_truncated_artefact_is_made_again(toy, name):
     status, ran, said = toy.make("room")
     assert status == 0 and ran and name in said, said
     assert {p: p.read_bytes() for p in whole} == whole
+    assert toy.make("room")[:2] == (0, []), "what depends on the stage's other files has run, too"
+
+
+def test_a_file_that_was_removed_is_made_with_all_that_depends_on_it(toy):
+    """Make made it again, and what depends on the other files of its stage at the next make only."""
+    assert toy.make("room")[0] == 0
+    (toy.out / "depth.txt").unlink()
+    assert toy.make("room")[1][0] == "see"
     assert toy.make("room")[:2] == (0, [])
 
 

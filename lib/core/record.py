@@ -23,6 +23,7 @@ from dataclasses import field, fields
 from lib.core import artefact
 from lib.core.stage import BadInput
 
+LARGEST = 1e15  # of any number
 NUMERALS = {2: "two", 3: "three", 6: "six"}
 
 
@@ -70,13 +71,16 @@ def matrix(rows=None, columns=None, unknown=False):
         if not (good and all(_is_number(v) or (unknown and v is None) for row in value for v in row)):
             size = f"{rows or 'n'} x {columns or 'm'}"
             raise Wrong(f"is neither null nor {size} numbers in lists of one length")
+        _inside([v for row in value for v in row if v is not None], -LARGEST, LARGEST)
         return tuple(tuple(v if v is None else float(v) for v in row) for row in value)
 
     return rule
 
 
 def _inside(values, low, high):
-    if min(values) < low or max(values) > high:
+    if max(map(abs, values), default=0) > LARGEST:
+        raise Wrong(f"is larger than {LARGEST:g}")
+    if any(value < low or value > high for value in values):
         raise Wrong("is negative" if (low, high) == (0, math.inf) else f"is outside [{low:g}, {high:g}]")
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lib.core import bounded
 from lib.core.stage import BadInput
 from lib.given import foreign_cameras, foreign_models, image, lenses, picks_frame, reduced, sight
 from lib.given import model as models
@@ -72,9 +73,9 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
 def _photograph(path, photograph, megapixels):
     """((width, height) of the photograph, how many times smaller the copy is, a line to say)."""
     try:
-        path.write_bytes(Path(photograph).read_bytes())
-    except OSError as error:
-        raise BadInput(f"PHOTO: {photograph}: cannot be read: {error.strerror}") from None
+        path.write_bytes(bounded.content(photograph))
+    except BadInput as bad:
+        raise BadInput(*(f"PHOTO: {problem}" for problem in bad.problems)) from None
     if line := image.format_problem(path):
         raise BadInput(f"PHOTO: {line.replace(str(path), str(photograph))}")
     try:

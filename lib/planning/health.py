@@ -6,8 +6,7 @@ everything each time, or nothing.
 * A file that is given, a script or a module from the future is no prerequisite: its size and time stand in the command
   file of the stage, which changes when they do.
 * Files of build/<scene>/ from the future get the time of now, in their order.
-* A file that has not the size that its stage's report says is removed, and so is a report that cannot be read: the
-  stage runs again.
+* A stage runs again that wrote a file which has not the size that its report says, or whose report cannot be read.
 """
 
 import functools
@@ -18,6 +17,8 @@ import time
 from lib.core import artefact
 from lib.core.stage import BadInput
 
+ELSEWHERE = ("../", "scratch/")  # what a report tells of that does not stay beside it
+
 
 def mend(plan):
     """Before the plan is written; a line on stderr for each kind of thing that was found."""
@@ -25,7 +26,7 @@ def mend(plan):
         _to_the_past(plan.build)
         for name in plan.planned:
             for one in (plan, plan.draft):
-                _whole(one.folder(plan.stages[name]), plan.stages[name].report)
+                _whole(one, plan.stages[name])
 
 
 @functools.cache
@@ -50,18 +51,23 @@ def _to_the_past(build):
         _say(f"{build}: times of {len(late)} files lie in the future: they were put back to now, in their order")
 
 
-def _whole(folder, report):
-    try:
-        sizes = artefact.read_json(folder / report).get("output_bytes", {}) if (folder / report).exists() else {}
-    except (BadInput, AttributeError):
-        _say(f"{folder / report}: cannot be read: its stage runs again")
-        (folder / report).unlink()
+def _whole(plan, stage):
+    """All files of a stage go where one is not as its report says: Make would remake that one, and miss the others."""
+    folder = plan.folder(stage)
+    if not (folder / stage.report).exists():
         return
-    for name, size in sizes.items():
-        path = folder / name
-        if path.is_file() and path.stat().st_size != size:
-            _say(f"{path}: {path.stat().st_size} bytes instead of {size}: it is made again")
-            path.unlink()
+    try:
+        sizes = artefact.read_json(folder / stage.report).get("output_bytes", {})
+        there = {name: (folder / name).stat().st_size if (folder / name).is_file() else 0 for name in sizes}
+        wrong = [name for name in sizes if there[name] != sizes[name] and not name.startswith(ELSEWHERE)]
+        why = f"{folder / wrong[0]}: {there[wrong[0]]} bytes instead of {sizes[wrong[0]]}" if wrong else None
+    except (BadInput, AttributeError, TypeError):
+        why = f"{folder / stage.report}: cannot be read"
+    if why:
+        _say(f"{why}: {stage.name} runs again")
+        for file in stage.outputs:
+            if not plan.scene.given(file):
+                (folder / file).unlink(missing_ok=True)
 
 
 def _say(text):

@@ -49,7 +49,8 @@ def main(argv):
         for p in partials:
             open(p, "w").write(text)
             if os.path.exists({toy!r} + "/kill-" + {name!r}): os.kill(os.getpid(), signal.SIGKILL)
-    sizes = {{os.path.basename(p): os.path.getsize(p) for k in writes + made for p in options[k]}}
+    here = os.path.dirname(options["report"][0])
+    sizes = {{os.path.relpath(p, here): os.path.getsize(p) for k in writes + made for p in options[k]}}
     artefact.write_json(options["report"][0], {{"status": "converged", "argv": argv, "output_bytes": sizes}})
 main(sys.argv[1:])
 """

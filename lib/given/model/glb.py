@@ -60,7 +60,7 @@ def _polygons(path, meshes, order):
 
     order : {"objects", "groups": names in their order, "absent": facets}, where a file tells
     """
-    known = lambda key: {str(name): k for k, name in enumerate(order.get(key, ()))}
+    known = lambda key: {name: k for k, name in enumerate(dict.fromkeys(map(str, order.get(key, ()))))}
     objects, groups = known("objects"), known("groups")
     count = 0
     vertices, triangles = [np.zeros((0, 3))], [np.zeros((0, 3), int)]
@@ -78,6 +78,8 @@ def _polygons(path, meshes, order):
     corners = np.concatenate(triangles).ravel()
     starts = np.arange(0, len(corners) + 1, 3)
     absent = tuple((int(n), int(o), int(g)) for n, o, g in order.get("absent", ()))
+    if any(not (0 <= o < len(objects) and 0 <= g < len(groups)) for _, o, g in absent):
+        raise BadInput(f"{path}: extras.absent: a facet of no object or group")
     parts = np.concatenate(owner), np.concatenate(group), list(objects), list(groups)
     return Polygons(p, corners, starts, *parts, absent)
 
