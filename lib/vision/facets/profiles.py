@@ -15,10 +15,10 @@ ACROSS = np.arange(-4.5, 4.75, 0.5)  # px along the outward normal
 LEVEL = 2.5  # px from the side, where either colour is taken
 COMPARED = 3.0  # px to either side
 SAMPLE = 1.4  # variance of a share at a place, over that of one pixel's noise: between pixels, and the levels' own
-ALIKE = 0.015  # rms of the differences of exact pairs without noise, nine of ten: they are seen from two places
+ALIKE = 0.03  # rms of the differences of exact pairs, wide baselines too: they are seen from two places
 # px that a side may be off, one sigma, where the shares differ by 1 (rms). A strip of w px that one photograph shows
 # there, of a colour c of the way from the outer to the inner one, moves the side by c w.
-OFF = 4.0
+OFF = 6.0
 
 
 def unlike(pair: Stereo, values, noise, x: Measured) -> np.ndarray:
