@@ -10,7 +10,17 @@ import pytest
 from lib.given import cameras, image
 from lib.given.cameras import Camera
 from lib.vision import matching
-from lib.vision.facets import borders, contours, dense, intensities, overlap, overlap_kernels, sides, uncertainty
+from lib.vision.facets import (
+    borders,
+    contours,
+    dense,
+    intensities,
+    overlap,
+    overlap_kernels,
+    profiles,
+    sides,
+    uncertainty,
+)
 from lib.vision.facets import contours_kernels as kernels
 from lib.vision.facets import planes as facets
 from lib.vision.facets.contours_kernels import Border
@@ -78,6 +88,27 @@ def test_a_side_that_is_not_the_facets_is_in_sigma():
         ratio = np.linalg.eigvals(np.linalg.solve(covariance, held)).real
         assert ratio.min() > 1 - 1e-9 and wider[0] <= ratio.max() <= wider[1]
         assert step @ np.linalg.solve(held, step) < CHI2_95
+
+
+def test_a_strip_that_one_photograph_shows_makes_a_side_unsure():
+    """An upright side at 40 px on the left and 36 on the right; on the left another face of 1 px lies beside it.
+
+    The place of the side is then .75 px off, and nothing but the colours across it shows that.
+    """
+    pair, _, _ = matching.toy()
+    n, c = 20, pair.left.K[0, 2]
+    step = lambda at: np.where(np.arange(64) < at, 0.8, 0.2) * np.ones((40, 1))
+    rows = np.zeros((n, kernels.COLUMNS))
+    rows[:, kernels.NORMAL_U] = rows[:, kernels.SIGMA] = rows[:, kernels.WEIGHT] = 1
+    rows[:, kernels.U], rows[:, kernels.V] = 39.5 - c, np.arange(10, 30) - c
+    x = contours.measured_at(np.array([0, 0, 4.0]), np.zeros(2), 20.0, rows, 1)
+    left, right = step(40), step(36)
+    assert profiles.unlike(pair, [left[..., None], right[..., None]], (0.002, 0.002), x) == [0]
+    left[:, 40] = 0.65
+    rows[:, kernels.U] += 0.75
+    x = contours.measured_at(np.array([0, 0, 4.75]), np.zeros(2), 20.0, rows, 1)
+    (off,) = profiles.unlike(pair, [left[..., None], right[..., None]], (0.002, 0.002), x)
+    assert 0.25 < off < 1.5
 
 
 def two_upright_sides(off_px=0.0):

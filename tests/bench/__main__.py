@@ -12,6 +12,7 @@ segment        the energy of eq. 2.1 beside plain merging and Pottslab (where it
 surfaces       how much of a plane is one surface, and how many span two, against the shipped rooms' true planes
 facets         planes of true regions by borders, intensities and both, against truth
 recognise      the pose by the paper's gradient and by the trust region; seeded trials of the search
+place          movable objects that stand elsewhere, by the photographs' pixels
 exports        what Mitsuba, Radiance and Cycles make of exported scenes (make .venv-exports/ready)
 augment        changed photographs of `office` by the number of rays, against many
 ladder         which rung each group reaches under 20 seeds of noise, and the error of mirrors and lobes (an hour)
@@ -318,6 +319,7 @@ ALONE = {
     "surfaces": "surface_bench",
     "facets": "facet_curves",
     "recognise": "recognise_curves",
+    "place": "place_curves",
     "exports": "export_curves",
     "augment": "augment_bench",
     "ladder": "ladder_bench",

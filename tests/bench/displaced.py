@@ -2,15 +2,18 @@
 
     $ python -m tests.bench.displaced build/displaced 1 2 3           # rooms 1, 2 and 3, each at 1, 3 and 10 cm
     $ python -m tests.bench.displaced build/displaced --known 1 2 3   # the cameras' poses are given: `place` alone
+    $ python -m tests.bench.displaced build/displaced --traced 1 2    # path-traced, 640 x 480; needs Mitsuba
 
 Rooms, pictures and truth: lib/synthetic/displaced_pairs.py.  Each line of displaced.csv is one object.
 """
 
 import csv
 import json
+import pickle
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +27,19 @@ from lib.vision.recognition import symmetry
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = ("seed", "off_m", "object", "is_there", "found", "mm", "deg", "chi2", "cpu_s")
 OFF_M = (0.01, 0.03, 0.10)
+MITSUBA = ROOT / ".venv-scenes" / "bin" / "python"
+SIZE = (640, 480)  # of path-traced pairs
+
+
+def traced(seed, off_m):
+    """(case, (left, right)), path-traced."""
+    case = displaced_pairs.displaced_pair(seed, off_m, size=SIZE)
+    with tempfile.TemporaryDirectory() as folder:
+        recipe, pair = Path(folder) / "recipe.pickle", Path(folder) / "pair.npz"
+        recipe.write_bytes(pickle.dumps(case.recipe))
+        subprocess.run([MITSUBA, "-m", "tests.bench.trace_pair", recipe, pair], check=True, cwd=ROOT)
+        with np.load(pair) as pictures:
+            return case, (pictures["left"], pictures["right"])
 
 
 def error(entry, T_true, thing):
@@ -39,13 +55,17 @@ def error(entry, T_true, thing):
     return best[1], best[0], best[2]
 
 
-def one(seed, off_m, out, known):
+def one(seed, off_m, out, known, by_tracing=False):
     """Rows of HEAD."""
     name = f"displaced-{seed}-{round(1000 * off_m)}"
-    case = displaced_pairs.displaced_pair(seed, off_m)
+    if by_tracing:
+        case, pictures = traced(seed, off_m)
+    else:
+        case = displaced_pairs.displaced_pair(seed, off_m)
+        pictures = displaced_pairs.photographs(case)
     folder = out / "data" / name
     facts = {"movable": [*case.moves, *case.absent], "goals": ["pose.json"]}
-    displaced_pairs.write(case, folder, displaced_pairs.photographs(case), facts)
+    displaced_pairs.write(case, folder, pictures, facts)
     for side in ("left", "right") if known else ():
         shutil.copy(folder / "truth" / f"{side}.posed.cameramodel", folder)
     command = ["make", "-s", f"DATA={out / 'data'}", f"BUILD={out / 'build'}", name]
@@ -87,8 +107,8 @@ def summary(rows):
 
 
 def main(argv):
-    known = "--known" in argv
-    out, *seeds = [word for word in argv if word != "--known"]
+    known, by_tracing = "--known" in argv, "--traced" in argv
+    out, *seeds = [word for word in argv if not word.startswith("--")]
     out, rows = Path(out).resolve(), []
     out.mkdir(parents=True, exist_ok=True)
     with open(out / "displaced.csv", "w", newline="") as file:
@@ -96,7 +116,7 @@ def main(argv):
         table.writerow(HEAD)
         for seed in seeds:
             for off_m in OFF_M:
-                new = one(seed, off_m, out, known)
+                new = one(seed, off_m, out, known, by_tracing)
                 rows += new
                 table.writerows(new)
                 file.flush()

@@ -14,8 +14,8 @@ from lib.vision.matching import Stereo
 ACROSS = np.arange(-4.5, 4.75, 0.5)  # px along the outward normal
 LEVEL = 2.5  # px from the side, where either colour is taken
 COMPARED = 3.0  # px to either side
-SAMPLE = 0.9  # variance of a share at a place, over that of one pixel's noise: between pixels, and the levels' own
-ALIKE = 0.015  # rms of the differences of exact pairs without noise, nine of ten: they are seen from two places
+SAMPLE = 1.4  # variance of a share at a place, over that of one pixel's noise: between pixels, and the levels' own
+ALIKE = 0.03  # rms of the differences of exact pairs, wide baselines too: they are seen from two places
 # px that a side may be off, one sigma, where the shares differ by 1 (rms). A strip of w px that one photograph shows
 # there, of a colour c of the way from the outer to the inner one, moves the side by c w.
 OFF = 6.0
@@ -26,7 +26,7 @@ def unlike(pair: Stereo, values, noise, x: Measured) -> np.ndarray:
 
     values : two (H, W, C) in [0, 1];  noise : of each, standard deviation
 
-    The share of the inner colour at places across the side, mean along it, left against right, rms, less what noise
+    The share of the inner colour at places across the side, median along it, left against right, rms, less what noise
     makes of it.
     """
     off = np.zeros(len(x.C))
@@ -61,8 +61,8 @@ def _across(pair, values, uv, normal, side):
 
 
 def _share(colours):
-    """(len(ACROSS),) share of the inner colour, mean along the side, and the contrast of the two colours."""
-    mean = colours.mean(axis=0)
+    """(len(ACROSS),) share of the inner colour, median along the side, and the contrast of the two colours."""
+    mean = np.median(colours, axis=0)
     inner, outer = mean[ACROSS <= -LEVEL].mean(axis=0), mean[ACROSS >= LEVEL].mean(axis=0)
     contrast2 = float(((inner - outer) ** 2).sum())
     return (mean - outer) @ (inner - outer) / max(contrast2, 1e-12), np.sqrt(contrast2)
