@@ -13,6 +13,7 @@ writes  picture       without a camera of its own: the photograph + (with - with
         preview       of a sequence, instead: MP4, beside its frames in the folder `frames`, 0001.png and so on
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -43,6 +44,7 @@ def main(opt):
     from lib.planning import augment
 
     augment.check(opt.entry)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # sums in one order, however many threads there are
     with Report.of(opt) as report:
         with report.excluded("imports"):
             import cv2  # noqa: F401  these where lib/ imports late

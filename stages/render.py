@@ -19,6 +19,7 @@ The report's trace has two measures. `foretold_error`, while light is gathered: 
 foretell each other's light, as a share of it. `rmse`, once at the end: of the picture against the photograph.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -54,6 +55,7 @@ def options():
 def main(opt):
     from lib.core.report import Report
 
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # sums in one order, however many threads there are
     with Report.of(opt) as report:
         with report.excluded("imports"):
             import cv2  # noqa: F401  these where lib/ imports late

@@ -44,7 +44,7 @@ def test_a_broken_law_is_said(tmp_path, monkeypatch, capsys):
         raise KeyError("it")
 
     broken = [
-        Walk("a part", "right", "law", "x", (1.0, 10.0, 100.0), (0, 1, 2), lambda x: near(x, x, 0.0)),
+        Walk("a part", "right", "law", "x", (1.0, 10.0, 100.0), (0, 1, 2), lambda x: near(x, 2 * x, 1e3)),
         Walk("a part", "wrong", "law", "", ("<here>",), (0,), lambda _: near(1.0, 2.0, 0.5)),
         Walk("a part", "an error", "law", "", ("there",), (0,), error),
     ]

@@ -11,7 +11,8 @@ from lib.verdict.page import html, plots
 STYLE = """
 main { max-width: 1080px; margin: 0 auto; padding: 1rem }
 .walk { display: flex; flex-wrap: wrap; gap: 1.5rem; align-items: flex-start; margin-bottom: 1.5rem }
-.walk table { flex: 1 1 480px; width: auto } .walk > div { flex: 0 0 420px } td, th { padding: .1rem .6rem; text-align: right }
+.walk table { flex: 1 1 480px; width: auto } .walk > div { flex: 0 0 420px }
+td, th { padding: .1rem .6rem; text-align: right }
 td:first-child, td:last-child { text-align: left }
 .broken td { background: #c0392b; color: white } .law { opacity: .75 } h2 { margin-top: 2rem } h3, .law { margin: 0 }
 """
