@@ -138,8 +138,7 @@ class Site:
         H, W = self.view.shape
         label = np.full(H * W, -1, np.int64)
         _, label[pixel] = np.unique(
-            self.surface.place[shown.facet] + shown.chain.astype(np.int64) * len(self.surface.normal),
-            return_inverse=True,
+            shown.facet + shown.chain.astype(np.int64) * len(self.surface.normal), return_inverse=True
         )
         used = np.zeros(H * W, bool)
         used[pixel] = True

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -47,24 +46,6 @@ class Surface:
     # (F,) int8, of a solid that may reach into another: 1 where its inside is at the back, -1 at the front; else 0
     overlap: np.ndarray
     middle: np.ndarray  # (3,) of the model's corners, see lib/given/extent.py
-
-    @cached_property
-    def place(self) -> np.ndarray:
-        """(F,) int: the number of each facet in an order that is the scene's, not the file's: random numbers follow it.
-
-        By what turning the scene leaves as it is, then by middle and normal; all rounded, so that no last bit decides.
-        """
-        p = self.origin + 0.5 * (self.size[:, :, None] * self.axes).sum(axis=1) - self.middle
-        ways = [np.linalg.norm(p, axis=1), np.einsum("ij,ij->i", p, self.normal), *self.size.T]
-        order = np.lexsort(np.rint(np.column_stack([self.normal, p, *ways]) / extent.SAME).T)
-        return np.argsort(order, kind="stable")
-
-    @cached_property
-    def triangle_place(self) -> np.ndarray:
-        """(T,) int: the same of the triangles."""
-        p = self.corners.mean(axis=1) - self.middle
-        order = np.lexsort(np.rint(np.column_stack([p, np.linalg.norm(p, axis=1)]) / extent.SAME).T)
-        return np.argsort(order, kind="stable")
 
     @property
     def arrays(self) -> SurfaceArrays:
