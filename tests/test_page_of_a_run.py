@@ -43,15 +43,16 @@ def stages(folder):
 
 def test_every_section_is_there(page):
     assert page.titles == [
+        "Warnings",
         "Difference",
         "Materials",
         "How each surface reflects",
         "Light and camera",
         "Transfer models compared",
+        "Where the camera is",
         "What each pixel shows",
         "Convergence",
         "Time",
-        "Warnings",
         "How it was made",
     ]
 
@@ -66,7 +67,8 @@ def test_the_head_says_what_the_files_say(page, office):
     materials, scores = read(office / "materials.json"), read(office / "rendered.json")
     errors = {e["name"]: e["value"] for e in read(office / "compare.json")["errors"]}
     groups = [g for name, g in materials["groups"].items() if name not in materials["lamps"]]
-    assert page.one("h1").text == "office Converged"
+    warnings = sum(len(report["warnings"]) for report in stages(office).values())
+    assert page.one("h1").text == f"office Converged {warnings} warning" and warnings == 1
     gamma = pm(materials["transfer"]["gamma"], materials["transfer"]["sigma"], 3)
     assert page.one("p", "verdict").text == (
         f"Re-rendering differs from the photograph by {percent(scores['rmse'])} of full scale;"
