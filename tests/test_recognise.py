@@ -452,7 +452,7 @@ def test_refusals_are_one_line(refuses, chain, tmp_path, files_under):
     assert "covariance" in refused(content | {"facets": [first | {"covariance": [[1, 2], [3, 4]]}]})
     assert "negative eigenvalue" in refused(content | {"facets": [first | {"covariance": (-np.eye(3)).tolist()}]})
     assert "covariance: is missing" in refused(content | {"facets": [first | {"covariance": None}]})
-    assert "covariance: finite" in refused(
+    assert "facets[0].covariance[2][2]: 1e999 is not a finite number" in refused(
         content | {"facets": [first | {"covariance": np.eye(3).tolist()[:2] + [[0, 0, 7e77]]}]}, infinite="7e+77"
     )
     assert "polygon" in refused(content | {"facets": [first | {"polygon": [[0, 0, 1]]}]})

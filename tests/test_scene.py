@@ -94,7 +94,7 @@ params: {segment: {lambda: 1e-3, passes: 0, method: admm, fast: false}}
         ("lamps: {lamp: ['1', 1, 1]}", 'lamps.lamp: ["1", 1, 1] is not a list of three numbers or `unknown`'),
         ("lamps: {lamp: [1, 1, -1e-9]}", "lamps.lamp: [1, 1, -1e-09] is negative"),
         ("lamps: {lamp: [1, 1, .inf]}", "lamps.lamp: [1, 1, Infinity] is not finite"),
-        ("lamps: {lamp: [1, 1, 1e999]}", "line 1: 1e999 is larger than 1e+15"),
+        ("lamps: {lamp: [1, 1, 1e999]}", "lamps.lamp: [1, 1, Infinity] is not finite"),
         ("lamps: {lamp: [1, 1, .nan]}", "lamps.lamp: [1, 1, NaN] is not finite"),
         ("lamps: {7: [1, 1, 1]}", "lamps: 7 is not a name (quote it)"),
         (

@@ -103,13 +103,38 @@ def json_of(path, data):
     """Any JSON value, of bytes. Refused: not UTF-8, not JSON, a NaN or an infinity, a name used twice, too deep."""
     check_size(path, len(data), LARGEST_TEXT)
     words = text_of(path, data)
+    infinite = []
+
+    def number(word):
+        value = float(word)
+        if value - value != 0:
+            infinite.append(word)
+        return value
+
     try:
         _check_depth(words)
-        return json.loads(
-            words, parse_constant=_no_number, parse_float=_finite, parse_int=_whole, object_pairs_hook=_once
+        value = json.loads(
+            words, parse_constant=_no_number, parse_float=number, parse_int=_whole, object_pairs_hook=_once
         )
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not readable JSON: {str(error) or 'nested too deep'}") from None
+    if infinite:
+        raise BadInput(f"{path}: {_where_infinite(value)}{infinite[0]:.80} is not a finite number")
+    return value
+
+
+def _where_infinite(value) -> str:
+    """The first infinite number of a JSON value: its keys and numbers, as 'facets[0].covariance[2][2]: '."""
+    where, todo = "", [("", value)]
+    while todo:
+        where, value = todo.pop()
+        if isinstance(value, float) and value - value != 0:
+            break
+        if isinstance(value, dict):
+            todo += reversed([(f"{where}.{key}".lstrip("."), item) for key, item in value.items()])
+        elif isinstance(value, list):
+            todo += reversed([(f"{where}[{k}]", item) for k, item in enumerate(value)])
+    return f"{where}: " if where else ""
 
 
 def _check_depth(words):
@@ -125,13 +150,6 @@ def _check_depth(words):
 
 def _no_number(word):
     raise ValueError(f"{word} is not a number")
-
-
-def _finite(word):
-    value = float(word)
-    if value - value != 0:
-        raise ValueError(f"{word:.80} is not a finite number")
-    return value
 
 
 def _whole(word):

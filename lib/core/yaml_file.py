@@ -76,7 +76,9 @@ def _construct_mapping(loader, node):
 def _construct_number(loader, node):
     word = loader.construct_scalar(node)
     value = float(word.lower().replace(".inf", "inf").replace(".nan", "nan"))
-    if abs(value) > FARTHEST and ".inf" not in word.lower():
+    if abs(value) == float("inf"):
+        return value  # whoever wants a number refuses it, and knows what it is for
+    if abs(value) > FARTHEST:
         loader.refuse(f"{word:.40}{'...' * (len(word) > 40)} is larger than {FARTHEST:g}", node)
     return int(word) if node.tag == f"{PLAIN}int" else value
 
