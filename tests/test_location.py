@@ -114,9 +114,15 @@ def test_another_room_is_refused_with_figures(room, run, tmp_path):
 
 
 @pytest.mark.scene
-def test_other_light_is_refused_unless_lamps_are_said_to_differ(room):
-    """Every edge is there, but what is bright in one photograph is dark in the other."""
-    case, pictures, folder = room
+def test_other_light_is_refused_unless_lamps_are_said_to_differ(tmp_path):
+    """Every edge is there, but what is bright in one photograph is dark in the other.
+
+    Of location-1 the second photograph alone is found on some machines and not on others, whatever its light: the last
+    bits of its lines decide which four poses are refined.
+    """
+    case = views_.further_views("location-3", size=SIZE, number=2)
+    pictures, folder = views_.photographs(case), tmp_path
+    write(case, pictures, folder)
     model = models.load(folder / "model.obj")
     shot = lambda values: Photograph(values, 8, False, 3)
     first, negative = shot(pictures[0] / 255.0), shot(0.9 - 0.8 * pictures[1] / 255.0)

@@ -178,6 +178,7 @@ def fan(count):
 
 
 DEEP = 200_000
+NINES = "9" * 5000
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
@@ -210,7 +211,7 @@ CASES = {
     "100,000 words": (yaml("goals: [" + "a, " * 100_000 + "a]"), planned, "scene.yaml: "),
     "10 MB of scene.yaml": (yaml("# " + "x" * 10_000_000), planned, "scene.yaml: 10"),
     "a number of 400 digits": (written("scene.yaml", f"lamps: {{lamp: [{'9' * 400}, 1, 1]}}"), planned, "lamps.lamp: "),
-    "a number of 5,000 digits": (written("scene.yaml", f"lamps: {{lamp: [{'9' * 5000}, 1, 1]}}"), planned, "lamps.lamp: "),
+    "a number of 5,000 digits": (written("scene.yaml", f"lamps: {{lamp: [{NINES}, 1, 1]}}"), planned, "lamps.lamp: "),
     "a lamp of 1e300": (written("scene.yaml", "lamps: {lamp: [1e300, 1, 1]}"), planned, "line 1: 1e300 is"),
     "a camera 1e300 away": (
         both(removed(CAMERA), yaml("camera: {eye: [1e300, 0, 0], at: [0, 0, 0], hfov_deg: 60}\n")),
