@@ -105,7 +105,9 @@ def test_an_object_of_nearly_the_same_material_is_named_where_nothing_else_is():
     slight, exact = (explain.as_given(shown(times), max_iterations=40) for times in (1.05, 1.0))
     assert unlike.objects(slight.problem, slight.result) == []
     owner = lambda: np.arange(len(problem.patch_group)) % 2
-    plain = SimpleNamespace(with_group=lambda *_: SimpleNamespace(misfits=lambda *_: {}, flagged=lambda *_: []))
+    fitted = SimpleNamespace(fit=np.ones(2, bool), chain=np.zeros(2), group=np.full(2, 2), object=np.arange(2))
+    own = SimpleNamespace(misfits=lambda *_: {}, flagged=lambda *_: [])
+    plain = SimpleNamespace(with_group=lambda *_: own, given={}, subcell=None, tiles=fitted)
     named = strangers.alone_unlike(slight, plain, owner, lambda: ["box", "crate"])
     assert [why.cause for why in named] == ["group_wrong"] and ("1.05" in named[0].text or "0.95" in named[0].text)
     assert strangers.alone_unlike(exact, plain, owner, lambda: ["box", "crate"]) == []

@@ -161,7 +161,7 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
         return None
     if why := _transfer_told_wrong(task, first, leave, promised, given):
         return _answer(given(), why=why)
-    if unlike.promise(first.problem, first.result, slightly=True) > most and (why := _another_material(task, seen())):
+    if _one_object_promises(task, first, rough, most) and (why := _another_material(task, seen())):
         return replace(seen(), why=why)
     if may_move and _lamp_in_doubt(task, rough, most):
         if why := _something_missing(task, seen(), edges, _things_in_doubt(task, seen())):
@@ -170,6 +170,15 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
             return _answer(given(), refined=refined, why=refined.why)
     why = _lamps_told_wrong(task, first, promised, given)
     return _named(task, given(), why) if why else None
+
+
+def _one_object_promises(task, first, rough, most) -> bool:
+    """One object's own reflectance brings more than any cause, or might: it has no trusted pixel."""
+    from lib.analysis import strangers
+
+    if unlike.promise(first.problem, first.result, slightly=True) > most:
+        return True
+    return strangers.unlike_unfitted(rough, _audit(task, rough)) is not None
 
 
 def _transfer_told_wrong(task, first, leave, promised, given) -> list:

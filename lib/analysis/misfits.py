@@ -157,11 +157,22 @@ def parts(subcell, problem: Problem, result: Result, tiles: Receivers, groups) -
         for thing in np.unique(tiles.object[at_once & (tiles.group == g)]):
             mine = at_once & (tiles.group == g) & (tiles.object == thing)
             B, seen, n = seen_as.B[mine], seen_as.seen[mine], tiles.n_pixels[mine, None]
-            ratio[int(thing)] = own = np.median(seen / np.maximum(B, 1e-9), axis=0)
+            ratio[int(thing)] = own = _own_ratio(B, seen)
             before += float((n * (metric.value(seen) - metric.value(B)) ** 2).sum())
             after += float((n * (metric.value(seen) - metric.value(own * B)) ** 2).sum())
         found[g] = Parts(ratio, 1 - after / max(before, 1e-300))
     return found
+
+
+def ratio_of(subcell, problem: Problem, result: Result, tiles: Receivers, group) -> np.ndarray:
+    """(C,) reflectance of a group (number), as the audit's tiles show it, to the fit's."""
+    seen_as = _Shown(subcell, problem, result, tiles, None)
+    mine = ~tiles.fit & (tiles.chain == 0) & (tiles.group == group)
+    return _own_ratio(seen_as.B[mine], seen_as.seen[mine])
+
+
+def _own_ratio(B, seen):
+    return np.median(seen / np.maximum(B, 1e-9), axis=0)
 
 
 # -- what follows from a misfit

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from copy import copy
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,7 @@ NOISY = 4  # so many times what is usual on its facet, it must be
 LINE = 60  # pixels of such lines that must hang together
 BESIDE = 0.01  # of the picture's width: lines so near to an edge of the model may be that edge
 BY_SHADOW = 0.5  # of a line's step, from which the lamps explain it
+WHITE = 0.98  # reflectance that a thing without trusted pixels may have at most
 BY_FAR = 10  # times what a cause must bring
 ELSEWHERE = 0.1  # part of a thing that lies on other facets than most of it
 
@@ -401,6 +403,22 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
     ]
 
 
+def unlike_unfitted(found: Explained, audit: Audit) -> unlike.Unlike | None:
+    """The object most unlike the rest of its group of those that have no trusted tile: what it throws on others bends
+    the whole fit, and its own pixels are in the audit alone."""
+    problem = found.problem
+    fitted = set(zip(problem.tile_group, problem.tile_object, strict=True))
+    among = [g for g in range(len(problem.groups)) if g not in problem.known_groups and g not in audit.given]
+    parts = misfits.parts(audit.subcell, problem, found.result, audit.tiles, among)
+    unfitted = [
+        unlike.Unlike(g, thing, ratio, 0.0)
+        for g, of_group in parts.items()
+        for thing, ratio in of_group.unlike.items()
+        if (g, thing) not in fitted
+    ]
+    return max(unfitted, key=lambda one: np.abs(one.ratio - 1).max(), default=None)
+
+
 def alone_unlike(found: Explained, audit: Audit, patch_object, names, **options) -> list[Why]:
     """A line for the object whose own reflectance, however near to its group's, leaves nothing to explain: neither in
     the fit nor, of diffuse surfaces, in the audit.
@@ -409,15 +427,40 @@ def alone_unlike(found: Explained, audit: Audit, patch_object, names, **options)
     """
     problem, result = found.problem, found.result
     one = max(unlike.objects(problem, result, slightly=True), key=lambda one: one.nats, default=None)
-    if one is None or one.nats < BY_FAR * enough(problem):
-        return []
-    own, state = unlike.with_its_own(problem, one, patch_object()), result.state
-    other, _ = fit(
-        own, start=Unknowns(np.vstack([state.rho, state.rho[one.group]]), state.E, state.transfer), **options
-    )
-    audit = audit.with_group(one.group, one.thing, len(problem.groups))
+    if one is not None and one.nats >= BY_FAR * enough(problem):
+        return _alone(found, audit, one, patch_object, names, **options)
+    one = unlike_unfitted(found, audit)
+    return _alone(found, audit, one, patch_object, names, is_fitted=False, **options) if one is not None else []
+
+
+def _alone(found, audit, one, patch_object, names, is_fitted=True, **options) -> list[Why]:
+    """is_fitted : the fit finds the reflectance; else it is as the audit's pixels show it"""
+    problem, state = found.problem, found.result.state
+    own, number = unlike.with_its_own(problem, one, patch_object()), len(problem.groups)
+    audit = audit.with_group(one.group, one.thing, number)
+    start = Unknowns(np.vstack([state.rho, one.ratio * state.rho[one.group]]), state.E, state.transfer)
+    if is_fitted:
+        other, _ = fit(own, start=start, **options)
+    else:
+        own, other = _as_shown(own, start, audit, **options)
     if in_doubt(other) or audit.flagged(own, audit.misfits(own, other)):
         return []
-    ratio = other.state.rho[-1] / np.maximum(other.state.rho[one.group], 1e-9)
-    gain = evidence(own, other.at).nats - evidence(problem, result.at).nats
+    ratio = other.state.rho[number] / np.maximum(other.state.rho[one.group], 1e-9)
+    gain = evidence(own, other.at).nats - evidence(problem, found.result.at).nats
     return [_another_material(names()[one.thing], ratio, problem.groups[one.group], float(gain))]
+
+
+def _as_shown(problem, start, audit, **options):
+    """(problem, Result) where the last group has no trusted tile, and the reflectance that the audit's pixels show.
+
+    The second time with the light that the first found.
+    """
+    rho = start.rho
+    for _ in range(2):
+        rho[-1] = np.clip(rho[-1], 0, WHITE)
+        known = replace(problem, rho=np.vstack([problem.rho[:-1], rho[-1:]]))
+        found, _ = fit(known, start=Unknowns(rho, start.E, start.transfer), **options)
+        start = found.state
+        rho = start.rho.copy()
+        rho[-1] *= misfits.ratio_of(audit.subcell, known, found, audit.tiles, len(problem.groups) - 1)
+    return known, found
