@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.vision import matching
-from lib.vision.facets import overlap, profiles, uncertainty
+from lib.vision.facets import folds, overlap, profiles, uncertainty
 from lib.vision.facets.borders import Borders, borders, noise, noise_without_texture
 from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, in_holes, parts
 from lib.vision.facets.dense import DensePlane, disparities, textured
@@ -42,6 +42,7 @@ SIMPLEX = 5  # steps of the overlap's search for each iteration of a fit
 APART_PX = 1.0  # rms: a plane so far from dense stereo's is another's
 PLANAR = 0.85  # of the textured pixels on the dense plane: then ends of rows on another are what hides the region
 DISPARITY = 1.5, 8.0  # times the starts', and px more: how far dense stereo looks
+TWO = "borders of two planes"
 TWO_PLANES = 0.14  # of the ends of rows may lie on one other plane, not counting its longest line
 
 
@@ -200,7 +201,7 @@ class _Fit:
     """One pair of regions on the way to its plane (a, b, c) at uv0, rectified px.
 
     size : px, of the region
-    contours : what the borders say, or None
+    contours : what the borders say, or None;  folded : they say two planes that meet inside
     dense : the plane of dense stereo, or None
     texture : (plane, A) of the finest level so far, or None
     textured : no level has yet said too little
@@ -214,6 +215,7 @@ class _Fit:
     uv0: tuple[float, float]
     size: float
     contours: Measured | None = None
+    folded: bool = False
     dense: DensePlane | None = None
     texture: tuple | None = None
     textured: bool = True
@@ -228,6 +230,8 @@ class _Fit:
             texture = self.dense.plane, self.dense.A
         if self.contours is None and texture is None:
             return "borders do not meet"
+        if self.folded and texture is None:
+            return TWO
         nothing = Measured.nothing(self.plane, self.uv0, self.size)
         x = replace(self.contours or nothing, texture=texture, planar=bool(self.dense) and self.dense.share > PLANAR)
         if self.dense and self.contours:
@@ -296,13 +300,15 @@ def _fit_contours(sight, fit, iterations):
     contours = max(tried, key=lambda x: found.score(x.plane[None])[0]) if len(tried) > 1 else next(iter(tried), None)
     if contours and found and found.score(contours.plane[None])[0] < LEAST_SIDES:
         contours = None
+    folded = bool(contours) and folds.folded(sight, fit.l, fit.r, contours.plane, fit.uv0, fit.size, found)
     # Texture: wherever no well located border is near, for that is measured already.
     regions = sight.regions[0]
     pixels = regions.order[regions.first[fit.l - 1] : regions.first[fit.l]]
     located = q[left.bend < np.maximum(0.5, 3 * left.sigma)]
     pixels = away(labels.shape, pixels, located, NEAR_PX)
     inner = away(labels.shape, pixels, located, BLURRED_PX)
-    return replace(fit, contours=contours, plane=contours.plane if contours else fit.plane, pixels=pixels, inner=inner)
+    plane = contours.plane if contours else fit.plane
+    return replace(fit, contours=contours, folded=folded, plane=plane, pixels=pixels, inner=inner)
 
 
 def _with_dense(sight, fits, values, labels, level):
@@ -376,7 +382,7 @@ def _facet(sight, l, r, x, sigma_side):
     if plane[0] >= MOST_SLOPE or polygon is None:
         return "through a camera's centre"
     if not x.planar and matching.another_plane(*sight.regions, l - 1, r - 1, plane) > TWO_PLANES:
-        return "borders of two planes"
+        return TWO
     covered = matching.mutual_overlap(sight.regions, sight.views, l - 1, r - 1, plane, pair.f_px)
     if covered < LEAST_OVERLAP:
         return "overlap: left does not cover right"

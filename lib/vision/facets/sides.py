@@ -109,23 +109,31 @@ class Lines:
 
     def score(self, planes) -> np.ndarray:
         """(h,) share of the sides, by points, that agree with each plane (h, 3), less that of those all behind it."""
-        agree, behind = self._compared(planes)
+        return self.score_at(self.at(planes))
+
+    def score_at(self, disparity) -> np.ndarray:
+        """The same of each surface that has disparities (h, m, 2) at the lines' ends."""
+        agree, behind = self._compared(disparity)
         return (agree - behind) @ self.points / self.points.sum()
+
+    def at(self, planes) -> np.ndarray:
+        """(h, m, 2) disparity of planes (h, 3) at the lines' ends."""
+        return np.einsum("mej,hj->hme", self.ends, planes)
 
     def own(self, plane, n: int) -> np.ndarray:
         """(n,) which parts of the outline are sides that agree with a plane (3,)."""
-        agree, _ = self._compared(plane[None])
+        agree, _ = self._compared(self.at(plane[None]))
         own = np.zeros(n, bool)
         own[self.part[agree[0] > 0]] = True
         return own
 
-    def _compared(self, planes):
-        """(h, P) how well the best line of each side agrees with each plane, and whether they all lie behind it."""
-        ahead = np.einsum("mej,hj->hme", self.ends, planes) - self.disparity  # the plane before the line
+    def _compared(self, disparity):
+        """(h, P) how well the best line of each side agrees with each surface, and whether they all lie behind it."""
+        ahead = disparity - self.disparity  # the surface before the line
         agree = np.clip(1 - ((self.crossing[:, None] * ahead) ** 2).mean(axis=2) / AGREE**2, 0, 1)
         ahead = ahead.mean(axis=2)
         behind = (agree == 0) & (ahead > 2 * AGREE) & (self.crossing * ahead > AGREE)
-        best, all_behind = np.zeros((2, len(planes), len(self.points)))
+        best, all_behind = np.zeros((2, len(disparity), len(self.points)))
         all_behind[:, self.side] = 1
         for k, side in enumerate(self.side):
             best[:, side] = np.maximum(best[:, side], agree[:, k])
