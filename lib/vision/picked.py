@@ -90,7 +90,7 @@ def warnings(found: Found, names, focal_known) -> list[str]:
     if found.centre_off > CROPPED:
         x, y = found.camera.K[:2, 2]
         said.append(
-            f"the principal point is ({x:.0f}, {y:.0f}) px, {found.centre_off:.1f} sigma from the middle of the picture:"
+            f"the principal point is ({x:.0f}, {y:.0f}) px, {found.centre_off:.1f} sigma from the picture's middle:"
             " a photograph that was cropped needs left.cameramodel, or to be whole"
         )
     if found.rivals:
@@ -228,7 +228,7 @@ def _quarters(roll):
 
 
 class _View(NamedTuple):
-    """T : (4, 4) T_cam_world;  share : focal length over the camera's;  centre : (2,) px, added to its principal point"""
+    """T : (4, 4) T_cam_world;  share : of the camera's focal length;  centre : (2,) px, added to its principal point"""
 
     T: np.ndarray
     share: float = 1.0
