@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from lib.vision.facets import (
     borders,
     contours,
     dense,
+    folds,
     intensities,
     overlap,
     overlap_kernels,
@@ -949,3 +951,35 @@ def test_stage_takes_the_papers_way(run, refuses, pair_files, tmp_path):
         "overlap",
         "sides",
     ]
+
+
+def silhouette(disparity):
+    """(sight, plane of its upright sides, Lines) of a box seen at its edge: six corners (u, v), their disparity, px."""
+    import cv2
+
+    corners = np.array([[20, 22], [50, 10], [80, 22], [80, 80], [50, 95], [20, 80.0]])
+    labels, outlines = np.zeros((2, 110, 100), np.int32), [corners, corners - np.outer(disparity, [1, 0])]
+    for picture, outline in zip(labels, outlines, strict=True):
+        cv2.fillPoly(picture, [np.rint(16 * outline).astype(np.int32)], 1, shift=4)
+    found = []
+    for outline in outlines:
+        to = np.roll(outline, -1, 0)
+        length = np.hypot(*(to - outline).T)
+        normal = np.column_stack([(to - outline)[:, 1], (outline - to)[:, 0]]) / length[:, None]
+        rows = np.sort(np.column_stack([outline[:, 1], to[:, 1]]))
+        found.append(sides.Sides(np.arange(6), (outline + to) / 2, normal, rows, length))
+    v, u = np.mgrid[:110, :100].astype(float)
+    order = [np.flatnonzero(picture) for picture in labels]
+    sight = SimpleNamespace(
+        pair=SimpleNamespace(photograph=lambda uv, side: uv),
+        views=[SimpleNamespace(u=u, v=v, labels=picture) for picture in labels],
+        regions=[SimpleNamespace(order=pixels, first=[0, len(pixels)]) for pixels in order],
+    )
+    return sight, np.array([0, 0, 5.0]), sides.Lines.of(*found, (50.0, 50.0))
+
+
+@pytest.mark.parametrize("nearer", [0.0, 3.0, 6.0, -3.0])
+def test_two_planes_that_meet_inside(nearer):
+    """A box's edge that nothing shows, or a room's corner: the plane through the upright sides is not the region's."""
+    sight, plane, lines = silhouette(np.array([5, 5 + nearer, 5, 5, 5 + nearer, 5]))
+    assert folds.folded(sight, 1, 1, plane, (50.0, 50.0), 30.0, lines) == (nearer != 0)
