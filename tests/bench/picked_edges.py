@@ -40,7 +40,7 @@ def corners(model, camera):
 
 
 def trial(seed, centre, folder):
-    """(errors as picked, as refined or None, seconds, why);  str: why nothing was solved;  None: too few corners."""
+    """(errors as picked, as refined or None, seconds, why);  str: why nothing was solved;  None where there are too few corners."""
     case = further_views.further_views(seed, number=1)
     rng = np.random.default_rng([seed, 3])
     angle, drawn = rng.uniform(0, 2 * np.pi), rng.normal(0, CENTRE_PART, 2)
@@ -103,9 +103,8 @@ def main():
             middle = np.median(of, axis=0)
             inside, of_focal = np.mean(of[:, 4] < 12.59), np.mean(of[:, 5] < 3.84)
             print(
-                f"{centre:7s} {name:8s} {len(of):3d} of {len(rows)} ({len(refused)} refused): median",
-                f"{middle[0]:.3f} deg {middle[1]:.1f} mm (sigma {middle[2]:.1f}), centre {middle[3]:.1f} px;",
-                f"worst {of[:, 1].max():.0f} mm;",
+                f"{centre:7s} {name:8s} {len(of):3d} of {len(rows)} ({len(refused)} refused): median {middle[0]:.3f} deg",
+                f"{middle[1]:.1f} mm (sigma {middle[2]:.1f}), centre {middle[3]:.1f} px; worst {of[:, 1].max():.0f} mm;",
                 f"chi2 mean {of[:, 4].mean():.1f}, worst {of[:, 4].max():.0f}; inside 95 %: {inside:.0%},",
                 f"focal length {of_focal:.0%}; {np.median([row[2] for row in rows]):.1f} CPU s",
                 flush=True,
