@@ -8,8 +8,8 @@
 
 reads   photograph      for its size
         points, lines   pose.csv, pose-lines.csv: what was picked, in the photograph as it was taken
-        lens, pinhole   the camera as given, any lens, and as a pinhole; without: square pixels, the principal point
-                        1 % of the width about the middle, the focal length unknown
+        lens, pinhole   the camera as given, any lens, and as a pinhole; without: square pixels, the principal point in
+                        the middle, the focal length unknown
         fspy, fspy_json a project of fSpy's, or its export
         model           in metres: a pose of picked places is then refined on the photograph's edges
         camera          eye, at, up, hfov_deg

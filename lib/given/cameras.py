@@ -20,7 +20,6 @@ HEAD = 100_000  # bytes at the start of a file that tell what it is
 FARTHEST = 1e9  # px or m: the largest number of a camera
 MOST_TURN = 1e3  # rad, of a rotation vector
 SHORTEST_PX = 1e-3  # of a focal length
-CENTRE_PART = 0.01  # of the width: sigma of the principal point about the middle, in x and y, of a lens nobody measured
 
 
 @dataclass(frozen=True, eq=False)

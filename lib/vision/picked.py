@@ -7,21 +7,17 @@ Poses and that factor are found together by expectation and maximisation of this
 2000) from several starts, of which the likeliest answer stays. A start is pycolmap's absolute pose by LO-RANSAC (from
 points), or one of many views of what was picked (from lines alone). Of a line each picked end tells its distance from
 the model's line in the picture.
-
-Where the lens is unknown, so is its principal point: it has a normal prior about the middle of the picture, of
-CENTRE_PART of the width in x and y, and is found and marginalised with the rest.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import lgamma
-from typing import NamedTuple
 
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given.cameras import CENTRE_PART, Camera, matrix_from_rt, towards
+from lib.given.cameras import Camera, matrix_from_rt, towards
 from lib.given.picks import LEAST, Picks
 
 STEP = 1e-6  # of a parameter, for derivatives
@@ -36,7 +32,6 @@ LOOSE_TURN = np.radians(10)  # and the rotation
 VIEWS = 60  # directions from which lines alone are looked at
 RIVAL = 9.0  # twice the difference of log-likelihoods below which another pose explains the picks as well
 OTHER = np.radians(2)  # so far turned is another pose
-CROPPED = 3.0  # sigma of the principal point's prior, from which it is said to be off
 ITERATIONS, SETTLING = 60, 25
 EXACT = 1e-3  # sigma, below which residuals are none
 
@@ -49,8 +44,7 @@ class Found:
     focal_sigma_px : None where the focal length was known;  factor : of the picks' sigmas, that their residuals show
     residual_px : (n + m,) of points (inf behind the camera), then of lines (the farther end);  outlier : (n + m,) bool
     redundancy : equations beyond unknowns, of what is no outlier;  rivals : poses (4, 4) that explain as much
-    joint : (6 or 9, as many) the covariance with those of an unknown lens: the logarithm of its focal length, and its
-    principal point, px;  centre_off : how many of its prior's sigmas that is from the middle of the picture
+    joint : (6 or 7, as many) the covariance with the logarithm of an unknown focal length
     """
 
     camera: Camera
@@ -62,7 +56,6 @@ class Found:
     redundancy: int
     rivals: tuple = ()
     joint: np.ndarray | None = None
-    centre_off: float = 0.0
 
     @property
     def rms_px(self) -> float:
@@ -87,12 +80,6 @@ def warnings(found: Found, names, focal_known) -> list[str]:
         said.append(f"{names[k]}: is {away}: left out")
     if found.factor > COARSE:
         said.append(f"the places are {found.factor:.1f} times less exact than their sigma_px says")
-    if found.centre_off > CROPPED:
-        x, y = found.camera.K[:2, 2]
-        said.append(
-            f"the principal point is ({x:.0f}, {y:.0f}) px, {found.centre_off:.1f} sigma from the picture's middle:"
-            " a photograph that was cropped needs left.cameramodel, or to be whole"
-        )
     if found.rivals:
         said.append("another pose explains the picked places as well: see ambiguous in pose.json")
     return said
@@ -105,10 +92,7 @@ def solve(picks: Picks, camera: Camera, focal_known: bool) -> Found:
     if n < LEAST:
         raise BadInput(f"{n} picked place{'s' * (n != 1)}: at least {LEAST} are needed")
     _check_spread(picks)
-    starts = _starts(picks, camera, focal_known)
-    fits = [_Fit(picks, camera, focal_known, *start).climbed() for start in starts]
-    if not focal_known:  # the middle of the picture may be many sigmas of a pick beside the principal point
-        fits += [_Fit(picks, camera, focal_known, *start).settled().climbed() for start in starts]
+    fits = [_Fit(picks, camera, focal_known, *start).climbed() for start in _starts(picks, camera, focal_known)]
     if not any(fit.agrees for fit in fits):
         fits += _from_all_around(picks, camera, focal_known)
     fits = sorted((fit for fit in fits if fit.is_sound), key=lambda fit: -fit.likelihood)
@@ -227,57 +211,42 @@ def _quarters(roll):
 # ---- the mixture ----
 
 
-class _View(NamedTuple):
-    """T : (4, 4) T_cam_world;  share : of the camera's focal length;  centre : (2,) px, added to its principal point"""
-
-    T: np.ndarray
-    share: float = 1.0
-    centre: np.ndarray = np.zeros(2)
-
-
 class _Fit:
-    """One start, and where it led. Steps are (6,) omega, tau, or (9,) with the log of the focal length, and px of the
-    principal point."""
+    """One start, and where it led.  theta : (6 or 7,) omega, tau, log of the focal length's share, from the start"""
 
     def __init__(self, picks, camera, focal_known, T, share):
         self.picks, self.camera, self.focal_known = picks, camera, focal_known
-        self.view, self.factor = _View(T, float(share)), 1.0
+        self.T, self.share, self.factor = T, float(share), 1.0
         n, m = len(picks.p), len(picks.p_ends)
         self.sigma = np.concatenate([np.repeat(picks.sigma, 2), np.repeat(picks.sigma_ends, 2)])
         self.owner = np.concatenate([np.repeat(np.arange(n), 2), n + np.repeat(np.arange(m), 2)])
         self.anywhere = -np.log(float(camera.width * camera.height))  # a wrong pick's log-density
         self.right, self.share_right, self.likelihood = np.ones(n + m), 0.8, -np.inf
         self.is_sound = True
-        self.size = 6 if focal_known else 7  # numbers that nothing but the picks tells
-        self.prior = np.zeros((0, 6)) if focal_known else np.eye(9)[7:] / (CENTRE_PART * camera.width)
+
+    @property
+    def size(self):
+        return 6 if self.focal_known else 7
 
     def moved(self, step):
-        """_View after a step."""
-        T, share, centre = self.view
+        """(T, share) after a step."""
         change = matrix_from_rt(np.concatenate([step[:3], [0, 0, 0]]))
         change[:3, 3] = step[3:6]
-        if not self.focal_known:
-            share, centre = share * float(np.exp(np.clip(step[6], -1, 1))), centre + step[7:9]
-        return _View(change @ T, share, centre)
+        return change @ self.T, self.share * (1.0 if self.focal_known else float(np.exp(np.clip(step[6], -1, 1))))
 
-    def posed(self, view):
-        K = self.camera.K * [[view.share, 1, 1], [1, view.share, 1], [1, 1, 1]]
-        K[:2, 2] += view.centre
-        return Camera(K, self.camera.width, self.camera.height, view.T)
+    def posed(self, T, share):
+        K = self.camera.K * [[share, 1, 1], [1, share, 1], [1, 1, 1]]
+        return Camera(K, self.camera.width, self.camera.height, T)
 
-    def residuals(self, view):
-        """`_residuals` of a view."""
-        return _residuals(self.picks, self.posed(view))
-
-    def off_prior(self, view):
-        """(0 or 2,) how many of its prior's sigmas the principal point is from the middle."""
-        return view.centre / (CENTRE_PART * self.camera.width) if len(self.prior) else np.zeros(0)
+    def residuals(self, T, share):
+        """`_residuals` of a pose and a focal length."""
+        return _residuals(self.picks, self.posed(T, share))
 
     def settled(self) -> _Fit:
         """From a start that is far off: squares under a width that follows their median."""
         n, self.right = len(self.right), np.ones(len(self.right))
         for _ in range(SETTLING):
-            r = self.residuals(self.view)
+            r = self.residuals(self.T, self.share)
             if not np.isfinite(r).all():
                 break
             size = np.sqrt(np.bincount(self.owner, (r / self.sigma) ** 2, n))
@@ -298,7 +267,7 @@ class _Fit:
 
     def climbed(self) -> _Fit:
         """Expectation and maximisation until neither changes."""
-        r = self.residuals(self.view)
+        r = self.residuals(self.T, self.share)
         if not np.isfinite(r).all():
             r = np.where(np.isfinite(r), r, self.camera.width)
         self.factor = float(np.clip(1.48 * np.median(np.abs(r / self.sigma)), 1.0, LARGEST_FACTOR))
@@ -314,7 +283,7 @@ class _Fit:
 
     def _expected(self):
         """The residuals, with `right` and `likelihood` of them; None where a place is behind the camera for good."""
-        r = self.residuals(self.view)
+        r = self.residuals(self.T, self.share)
         lost = ~np.isfinite(r)
         if lost.all():
             self.is_sound = False
@@ -323,7 +292,7 @@ class _Fit:
         s = self.factor * self.sigma
         each = np.bincount(self.owner, -0.5 * (r / s) ** 2 - np.log(s) - 0.5 * np.log(2 * np.pi))
         good, bad = np.log(self.share_right) + each, np.log1p(-self.share_right) + self.anywhere
-        self.likelihood = float(np.logaddexp(good, bad).sum() - 0.5 * (self.off_prior(self.view) ** 2).sum())
+        self.likelihood = float(np.logaddexp(good, bad).sum())
         self.right = np.exp(good - np.logaddexp(good, bad))
         self.share_right = float(np.clip(self.right.mean(), 0.05, 0.98))
         free = max(2 * self.right.sum() - self.size, 0.5)
@@ -336,27 +305,26 @@ class _Fit:
         """A damped Gauss-Newton step of the weighted squares, shortened until they are no larger."""
         J, w = self.derivatives(), (np.sqrt(self.right[self.owner]) / self.sigma)
         keep = np.isfinite(J).all(axis=1)
-        told = lambda r, view: np.concatenate([(r * w)[keep], self.factor * self.off_prior(view)])
-        A, b = np.concatenate([(J * w[:, None])[keep], self.factor * self.prior]), told(r, self.view)
+        A, b = (J * w[:, None])[keep], (r * w)[keep]
         cost, damping = b @ b, 1e-9
         for _ in range(12):
             H = A.T @ A
             step = -np.linalg.lstsq(H + damping * np.diag(np.diag(H) + 1e-12), A.T @ b, rcond=1e-14)[0]
-            view = self.moved(step)
-            after = self.residuals(view)
-            if np.isfinite(after[keep]).all() and (told(after, view) ** 2).sum() <= cost * (1 + 1e-12):
-                self.view = view
+            T, share = self.moved(step)
+            after = self.residuals(T, share)
+            if np.isfinite(after[keep]).all() and ((after * w)[keep] ** 2).sum() <= cost * (1 + 1e-12):
+                self.T, self.share = T, share
                 return
             damping = max(damping, 1e-7) * 10
 
     def derivatives(self):
-        """(2 (n + m), 6 or 9) px, by central differences."""
-        depth = max(float(np.median(np.abs(self.posed(self.view).points(self._places())[:, 2]))), 1e-6)
+        """(2 (n + m), 6 or 7) px, by central differences."""
+        depth = max(float(np.median(np.abs(self.posed(self.T, self.share).points(self._places())[:, 2]))), 1e-6)
         columns = []
-        for k in range(self.prior.shape[1]):
-            h = np.zeros(9)
-            h[k] = STEP * (depth if 3 <= k < 6 else self.camera.width if k > 6 else 1.0)
-            columns.append((self.residuals(self.moved(h)) - self.residuals(self.moved(-h))) / (2 * h[k]))
+        for k in range(self.size):
+            h = np.zeros(7)
+            h[k] = STEP * (depth if 3 <= k < 6 else 1.0)
+            columns.append((self.residuals(*self.moved(h)) - self.residuals(*self.moved(-h))) / (2 * h[k]))
         return np.stack(columns, axis=1)
 
     def _places(self):
@@ -371,7 +339,7 @@ class _Fit:
         good = ~self.outlier[self.owner]
         J = self.derivatives()[good] / (self.factor * self.sigma[good, None])
         redundancy = int(good.sum()) - self.size
-        H = J.T @ J + self.prior.T @ self.prior
+        H = J.T @ J
         scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
         values = np.linalg.eigvalsh(H / np.outer(scale, scale))
         if redundancy < 0 or values[0] < 1e-10:
@@ -386,7 +354,7 @@ class _Fit:
             )
         if turn > LOOSE_TURN:
             raise BadInput(f"the picked places do not tell the pose (sigma {np.degrees(turn):.0f} degrees)")
-        camera = self.posed(self.view)
+        camera = self.posed(self.T, self.share)
         return Found(
             camera,
             covariance[:6, :6],
@@ -397,17 +365,16 @@ class _Fit:
             redundancy,
             tuple(self._rivals(others)),
             covariance,
-            float(np.linalg.norm(self.off_prior(self.view))),
         )
 
     def _rivals(self, others):
         """Poses (4, 4) that explain the picks as well, and are others."""
-        kept = [self.view.T]
+        kept = [self.T]
         for other in others:
             if 2 * (self.likelihood - other.likelihood) > RIVAL:
                 break
-            if all(_angle(other.view.T, T) > OTHER for T in kept):
-                kept.append(other.view.T)
+            if all(_angle(other.T, T) > OTHER for T in kept):
+                kept.append(other.T)
         return kept[1:]
 
 

@@ -12,7 +12,7 @@ from lib.vision.recognition.recognise import Recognition
 from lib.vision.refinement.pose import refine
 from lib.vision.refinement.rig import Side, gap_to_prior
 
-LENS_PX = 0.1  # what is known of a given lens
+LENS_PX, CENTRE_PART = 0.1, 0.005  # what is known of a given lens; of the principal point of another, of the width
 DOUBTFUL = (
     22.5,
     24.3,
@@ -28,7 +28,7 @@ def refined(found: Found, picks, model, photograph, focal_known) -> tuple[Found,
     T, C = found.camera.T_cam_world, found.joint[:size, :size]
     start = Pose(T, 1.0, C, np.zeros((0, 2), int), 0.0, 0.0, 0.0, T)
     told = Recognition((start,), "unique", "picked places", np.zeros(0), {})
-    lens_px = LENS_PX if focal_known else float(np.sqrt(found.joint[7:, 7:].trace() / 2))  # as the picks tell it
+    lens_px = LENS_PX if focal_known else CENTRE_PART * found.camera.width
     result = refine(model, [Side(found.camera, photograph)], told, lens_px=lens_px, is_zoom=not focal_known)
     camera = result.cameras[0]
     if result.rms_px is None or result.support < result.least or result.evidence < result.needed:
