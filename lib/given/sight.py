@@ -6,6 +6,8 @@ import numpy as np
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes, and Blender's: y up, looking along -z
 INVERSE = "is it camera-to-world? extrinsics are world-to-camera"
+UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # a model with y up to one with z up
+LYING = "or has the model y up? then say `model: {up: y}`"
 RAYS = 12, 9  # across and down
 MOST = 20_000  # triangles that the rays are tried on; larger models are left alone
 LENGTHS = {"mm": 1e-3, "cm": 1e-2}  # units of a translation, where the model is in metres
@@ -21,7 +23,9 @@ def unseen(lens, model) -> str | None:
         inverse = np.linalg.inv(T)
         if inside(T, model) or not inside(inverse, model) or fronts(lens, T, model) or not fronts(lens, inverse, model):
             return None
-        return f"the camera sees the backs of faces alone, from outside: {INVERSE}"
+        upright = T @ UPRIGHT
+        may_lie = inside(upright, model) and fronts(lens, upright, model)
+        return f"the camera sees the backs of faces alone, from outside: {INVERSE}{f'; {LYING}' if may_lie else ''}"
     others = {
         INVERSE: np.linalg.inv(T),
         "does it look along -z? x right, y down, z forward": FLIP @ T,
