@@ -7,7 +7,7 @@ import numpy as np
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes, and Blender's: y up, looking along -z
 INVERSE = "is it camera-to-world? extrinsics are world-to-camera"
 UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # a model with y up to one with z up
-LYING = "or has the model y up? then say `model: {up: y}`"
+LYING = "or has the model another axis up than the camera takes, and is to be turned?"
 RAYS = 12, 9  # across and down
 MOST = 20_000  # triangles that the rays are tried on; larger models are left alone
 LENGTHS = {"mm": 1e-3, "cm": 1e-2}  # units of a translation, where the model is in metres
