@@ -196,10 +196,12 @@ def with_lobes(found: Explained, leave: Leave, **options) -> Explained:
     instead, beside = (first, []), (found.best, found.taken)
     bases = [instead] if not found.taken else [beside] if fits(found.result) else [instead, beside]
     for base, before in bases:
-        if base is not bases[0][0] and not in_doubt(found.result):
+        if base is not bases[0][0] and fits(found.result):
             break
         lobed = _lobed(base, leave.lobes, not fits(found.result))
-        if lobed is None or lamp_lobe.is_flat(lobed) or lobed.evidence.nats < found.best.evidence.nats - least:
+        if lobed is None or lamp_lobe.is_flat(lobed):
+            continue
+        if lobed.evidence.nats + max(_promises(lobed, leave).values(), default=0.0) < found.best.evidence.nats - least:
             continue
         instead_of = {} if before else {taken.cause: taken.nats for taken in found.taken}
         taken = Taken(lamp_lobe.NAME, lobed.evidence.nats - base.evidence.nats, instead_of)

@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 
 from lib.analysis.candidates import Candidate, enough
-from lib.analysis.equations import Equations, Layout
+from lib.analysis.equations import Equations, Layout, Unknowns
 from lib.analysis.evidence import evidence, promised
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import gauss_newton
-from lib.analysis.problem import CauseTerms, Problem
+from lib.analysis.problem import CauseTerms, Problem, Result
 from lib.analysis.transport import TileLight
 from lib.given.materials import Why
 from lib.given.view import View
@@ -36,6 +36,7 @@ ALL_WRONG = 0.3  # of the typical residual, below which told lobes are all that 
 FIRST = (1.0, 3.0)  # exponents to begin with
 SETTLES = 0.2  # of the typical residual: what leaves no more needs no other start
 ROUNDS, SETTLED, INNER = 20, 5e-3, 2
+SHARES = 1.0, 0.3, 0.1, 0.03  # of a step, until one lowers the error: far away lobes are no lines
 # rounds after which the error must have fallen to such a share, and below such a share of what it was without lobes
 PATIENCE, GAINS, HOPE = 3, 0.98, 0.9
 
@@ -204,22 +205,21 @@ def fitted(found: Candidate, lobes: LampLobes, more=None) -> Candidate:
         found.problem.cause and found.problem.cause.without(NAME),
     )
     base = replace(found.problem, cause=others)
-    at, radius = _plain(lobes.problem(base, lobes_at), start), 1.0
+    at = _plain(lobes.problem(base, lobes_at), start)
     errors, enough = [_error(at)], HOPE * np.abs(found.result.tile_residual).mean()
     while len(errors) < ROUNDS and (len(errors) <= PATIENCE or errors[-1] < min(GAINS * errors[-1 - PATIENCE], enough)):
-        terms = lobes.cause(at, lobes_at)
-        trial = replace(at.problem, cause=terms._replace(spread=radius * terms.spread).beside(others))
+        trial = replace(at.problem, cause=lobes.cause(at, lobes_at).beside(others))
         result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=INNER)
-        steps = np.abs(result.state.cause[trial.cause.of(NAME)]).max()
-        there = stepped(lobes_at, trial.cause, result.state.cause)
-        begin = start._replace(rho=result.state.rho, E=result.state.E, transfer=result.state.transfer)
-        after = _plain(lobes.problem(base, there), begin)
-        errors.append(min(_error(after), errors[-1]))
-        if errors[-1] < errors[-2]:
-            lobes_at, start, at, radius = there, begin, after, min(2 * radius, 1.0)
+        for share in SHARES:
+            there, begin = stepped(lobes_at, trial.cause, share * result.state.cause), _part_way(start, result, share)
+            after = _plain(lobes.problem(base, there), begin)
+            if _error(after) < errors[-1]:
+                break
         else:
-            radius /= 4
-        if steps < SETTLED:
+            break
+        lobes_at, start, at = there, begin, after
+        errors.append(_error(at))
+        if share * np.abs(result.state.cause[trial.cause.of(NAME)]).max() < SETTLED:
             break
     last = replace(at.problem, cause=lobes.cause(at, lobes_at).beside(others))
     return Candidate.of(last, found.taken | {NAME: lobes_at}, start=start)
@@ -228,6 +228,13 @@ def fitted(found: Candidate, lobes: LampLobes, more=None) -> Candidate:
 def is_flat(found: Candidate) -> bool:
     """Lamps that are lambertian, or next to it: their lobes have run into the least exponent."""
     return all(lobe[3] <= FLAT * LEAST for lobe in found.taken[NAME].values())
+
+
+def _part_way(start: Unknowns, result: Result, share) -> Unknowns:
+    """From `start` towards where a fit ended."""
+    state, between = result.state, lambda a, b: a + share * (b - a)
+    transfer = state.transfer.moved(between(start.transfer.parameters, state.transfer.parameters))
+    return start._replace(rho=between(start.rho, state.rho), E=between(start.E, state.E), transfer=transfer)
 
 
 def _error(at: Equations):
