@@ -5,15 +5,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.sparse import eye_array
 
 from lib.analysis import agreement, explain, strangers, unlike
-from lib.analysis.audit import Energy
+from lib.analysis.audit import Audit, Energy
 from lib.analysis.explain import Leave
+from lib.analysis.gather import Gathered, Tiles
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Halves
 from lib.given import jpeg
 from lib.given.falloff import Lens
 from lib.given.transfer import Transfer
+from lib.light.form_factors import FormFactorRows
 from tests.helpers.made_problems import COLOURS, made
 
 SIZE = 120, 90
@@ -111,6 +114,37 @@ def test_an_object_of_nearly_the_same_material_is_named_where_nothing_else_is():
     named = strangers.alone_unlike(slight, plain, owner, lambda: ["box", "crate"])
     assert [why.cause for why in named] == ["group_wrong"] and ("1.05" in named[0].text or "0.95" in named[0].text)
     assert strangers.alone_unlike(exact, plain, owner, lambda: ["box", "crate"]) == []
+
+
+def audited(problem, thing) -> Audit:
+    """All pixels of a made problem's tiles. thing : (T,) their objects"""
+    none, T = np.zeros(0), len(problem.tile_group)
+    tiles = Tiles(problem.tile_group, problem.start, none, problem.D_tile, FormFactorRows.dense(problem.G.toarray()))
+    found = Gathered(
+        tiles, problem.pixels, problem.tile_group, thing, np.ones(6), False, 3, 0.0, np.zeros(T), np.zeros(3), False
+    )
+    return Audit(found, eye_array(6).tocsr(), {}, 0.0125)
+
+
+@pytest.mark.parametrize(("times", "named"), [(1.5, True), ((0.5, 1.0, 1.6), True), (1.1, False), (1.0, False)])
+def test_an_object_without_a_trusted_tile_is_named_by_the_pixels_of_the_audit(times, named):
+    """small-901's thing had none: the fit bent to the light that it threw, and the last audit alone named it."""
+    fitted, _ = photographed()
+    shown, _ = photographed(seed=1)
+    thing = np.arange(len(shown.tile_group)) % 2
+    other = np.repeat((shown.tile_group == 2) & (thing == 1), shown.n_pixels)[:, None]
+    light = shown.transfer.linear(shown.pixels) * np.where(other, times, 1.0)
+    audit = audited(replace(shown, pixels=shown.transfer.display(light)), thing)
+    found = explain.as_given(fitted, max_iterations=40)
+    one = strangers.unlike_unfitted(found, audit)
+    why = strangers.alone_unlike(found, audit, lambda: np.zeros(6), lambda: ["box", "crate"], max_iterations=40)
+    assert [w.subject for w in why] == ["crate"] * named
+    if named:
+        assert (one.group, one.thing) == (2, 1) and np.allclose(one.ratio, times, rtol=0.02)
+        ratio = [float(v) for v in why[0].text.split("reflects ")[1].split(" times")[0].split(", ")]
+        assert np.allclose(ratio, times, atol=0.02)
+    else:
+        assert one is None
 
 
 @pytest.mark.parametrize("times", [1.05, 0.8, (1.2, 1.0, 0.9)])
