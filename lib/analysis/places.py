@@ -46,18 +46,15 @@ def by_edges(view: View, lamps) -> Places:
     slip = mistake(view.model, view.camera, view.photograph, found.seen) if found.seen.found < SHOWN else None
     if slip is not None:
         return Places(found, [], [Why(slip.cause, None, slip.text, None)], is_lost=True)
-    if found.seen.is_lost:
-        why = _lost(found)
-        return Places(found, [], why, is_lost=bool(why))
+    if found.seen.is_surely_lost:
+        return Places(found, [], _lost(found), is_lost=True)
     pairs = [*_camera(found), *(_thing(found, view.model, name, lamps) for name in found.objects)]
     pairs.sort(key=lambda pair: -(pair[0].evidence_nats or 0))
     return Places(found, *([pair[k] for pair in pairs] for k in (0, 1)))
 
 
 def _lost(found):
-    """[Why] the photograph hardly shows the model's edges; [] where these are so few that it may be by chance."""
-    if not found.seen.is_surely_lost:
-        return []
+    """[Why] the photograph hardly shows the model's edges."""
     text = (
         f"the photograph has {found.seen.found:.0%} of the model's edges, too few"
         f" ({found.seen.chance:.0%} by chance): the camera, the model's unit or its axes are not as"

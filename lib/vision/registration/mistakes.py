@@ -35,7 +35,7 @@ def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
     tried = []
     for cause, text, other, view in _undone(model, camera):
         sight = Registrar(other, view, level).sight(State())
-        share = seen(sight.pieces) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0, 0.0)
+        share = seen(sight.pieces, level.noise) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0, 0.0)
         tried.append(Mistake(cause, f"{text}, the photograph has {share.found:.0%} of its edges, not {{}}", share))
     best = max(tried, key=lambda m: m.seen.nats)
     is_clear = best.seen.found >= min(now.found + CLEAR, 1 - LEFT * (1 - now.found))

@@ -31,6 +31,7 @@ TOGETHER = (
     2.0  # so many times worse than its lines say is the place of an object: the shadow at its foot pulls them all
 )
 LOST = 0.6  # of the edges that chance has not found, the least that must be there
+QUIET = 0.02  # contrast of noise, 4 % of the light, from which it hides edges: 10 % leave .35 of them in a white room
 COARSEST, SEARCH_PX, PLACING_PX = (
     16,
     600,
@@ -197,7 +198,7 @@ class Registrar:
             factor * after,
             n_edges,
             missing(world, sight),
-            seen(sight.pieces),
+            seen(sight.pieces, self.level.noise),
             self._loose(sight, state),
             trace,
             replace(state, centre_px=factor * state.centre_px),
@@ -289,17 +290,19 @@ class Registrar:
 class Seen(NamedTuple):
     """Shares of the model's edges. found : that the photograph has;  chance : that it has 8 px beside them, too
 
-    pieces : of edges that were looked at
+    pieces : of edges that were looked at;  noise : of Level, what hides edges
     """
 
     found: float
     chance: float
     pieces: float = np.inf
+    noise: float = 0.0
 
     @property
     def is_lost(self):
         """The photograph hardly shows these edges: nothing can be learnt from them."""
-        return self.found < self.chance + LOST * (1 - self.chance)
+        least = LOST * QUIET / max(self.noise, QUIET)
+        return self.found < self.chance + least * (1 - self.chance)
 
     @property
     def nats(self):
@@ -315,15 +318,16 @@ class Seen(NamedTuple):
         return self._replace(found=self.found + unsure).is_lost
 
 
-def seen(pieces, near_px=2.5, beside_px=8.0) -> Seen:
-    """How many pieces of edges that a photograph can show are where they should be."""
+def seen(pieces, noise=0.0, near_px=2.5, beside_px=8.0) -> Seen:
+    """How many pieces of edges that a photograph can show are where they should be. noise : of its Level"""
     pieces = pieces.part(~pieces.smooth)
     if len(pieces.edge) == 0:
-        return Seen(0.0, 0.0, 0.0)
+        return Seen(0.0, 0.0, 0.0, noise)
     hit = lambda x: ((np.abs(pieces.offset - x) < near_px) & (pieces.share > 0)).any(axis=1)
     beside = (hit(0.0 - beside_px).astype(float) + hit(beside_px)) / 2
     w = pieces.weight
-    return Seen(*(float(np.average(h, weights=w)) for h in (hit(0.0), beside)), float(w.sum() ** 2 / (w**2).sum()))
+    found, chance = (float(np.average(h, weights=w)) for h in (hit(0.0), beside))
+    return Seen(found, chance, float(w.sum() ** 2 / (w**2).sum()), noise)
 
 
 def missing(world, sight, near_px=2.5, beside_px=8.0):
