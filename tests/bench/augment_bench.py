@@ -3,9 +3,8 @@
     $ python -m tests.bench.augment_bench OUT/ TRUTH/ BUILD/ [scene ...]      OUT/augment.csv, OUT/<scene>.<case>.png
 
 TRUTH/ holds what augment_truth.py writes. The scenes must have been made into BUILD/. `rmse` is of display values over
-the whole picture, `noise` that of the truth's own path tracing, `apart` their difference in squares, `identical` the
-share of pixels whose true change is below a quarter step that are the photograph's to the last bit: of those pixels
-whose true change the truth's noise lets tell.
+the whole picture, `noise` that of the truth's own path tracing, `apart` their difference in squares; `told`,
+`identical` and `most` say how the photograph is kept where the true change is below a quarter step (`kept`).
 """
 
 import csv
@@ -110,11 +109,26 @@ def measured(scene, case, out, truth, build):
         row["photograph"] = rms(before - shown)
         new = (read.recovered.facet != read.changed.facet) & (read.changed.facet >= 0)
         row["on_new"] = rms(error[new]) if new.any() else None
+        with np.load(path) as file:
+            row |= kept(made.values, before, true, file["change"], file["change_noise"], gamma)
     image.write_png8(
         out / f"{scene}.{case}.side.png",
         np.rint(255 * np.clip(np.hstack([values, shown, 0.5 + 5 * error]), 0, 1)).astype(np.uint8),
     )
     return row
+
+
+def kept(values, photograph, true, change, noise, gamma):
+    """How the photograph is kept where the true change is below a quarter step, told by at least two of its errors.
+
+    values : (H, W, 3) of 255;  true, change, noise : linear, after the change, its size and standard error
+    told : such pixels, a share of all;  identical : to the last bit, a share of those;  most : the others', in steps
+    """
+    apart = np.abs(display(true, gamma) - display(true - change, gamma))
+    slope = np.maximum(np.minimum(true, true - change), 1e-4) ** (1 / gamma - 1) / gamma
+    told = (apart + 2 * slope * noise < STEP / 4).all(axis=2)
+    ours = np.abs(values - np.rint(255 * photograph)).max(axis=2)[told]
+    return {"told": float(told.mean()), "identical": float((ours == 0).mean()), "most": float(ours.max(initial=0))}
 
 
 def reinserted(scene, objects, out, build):

@@ -2,7 +2,9 @@
 
     $ .venv-scenes/bin/python -m tests.bench.augment_truth OUT/ office [egg ...]      OUT/office.egg.npz
 
-Each holds `linear` (H, W, 3), the mean of all passes, and `noise` (H, W, 3), its standard error.
+Each holds `linear` (H, W, 3), the mean of all passes, and `noise` (H, W, 3), its standard error; unless the camera is
+another, also `change` and `change_noise`, the same of what the change has changed: both scenes take the same random
+numbers, so paths that do not meet what is new say nothing but 0.
 """
 
 import sys
@@ -21,7 +23,7 @@ from lib.synthetic.optics import look
 from lib.synthetic.recipe import Surface
 from tests.bench.augment_cases import CASES, FILES, VIEW
 
-SPP, PASSES, ROULETTE = 32, 12, 6
+SPP, PASSES, ROULETTE = 64, 16, 6
 
 
 def polygons_of(text, name, groups):
@@ -117,29 +119,34 @@ def _of(material, group, materials, surfaces):
     return materials | {group: tuple(material["rho_d"])}, surfaces
 
 
-def truth(mi, recipe, more, spp=SPP, passes=PASSES):
-    """(linear, standard error), both (H, W, 3)."""
+def passes(mi, recipe, more, spp=SPP, n=PASSES):
+    """(n, H, W, 3) independent pictures, linear; the same seeds whatever the recipe."""
     with tempfile.TemporaryDirectory() as folder:
         shapes = {name: ellipsoid(mi, Path(folder) / f"{name}.ply", **shape) for name, shape in more.items()}
         scene = mitsuba_scene(mi, recipe, Path(folder), ROULETTE, more=shapes)
         integrator = tracer(mi, recipe, scene, ROULETTE)
-        total = squares = 0.0
-        for seed in range(passes):
-            one = np.array(mi.render(scene, integrator=integrator, spp=spp, seed=seed), float)[..., :3] * np.pi
-            total, squares = total + one, squares + one**2
-    mean = total / passes
-    return mean, np.sqrt(np.maximum(squares / passes - mean**2, 0) / (passes - 1))
+        one = lambda seed: np.array(mi.render(scene, integrator=integrator, spp=spp, seed=seed), np.float32)
+        return np.stack([one(seed)[..., :3] * np.pi for seed in range(n)])
+
+
+def mean_and_error(pictures):
+    return pictures.mean(axis=0, dtype=float), pictures.std(axis=0, ddof=1, dtype=float) / np.sqrt(len(pictures))
 
 
 def main(out, scene, names):
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
+    before = None
     for name in names or CASES[scene]:
         recipe, more = changed(recipes.make(scene), CASES[scene][name])
-        linear, noise = truth(mi, recipe, more)
+        after = passes(mi, recipe, more)
+        arrays = dict(zip(("linear", "noise"), mean_and_error(after), strict=True))
+        if "camera" not in CASES[scene][name]:
+            before = passes(mi, recipes.make(scene), {}) if before is None else before
+            arrays |= dict(zip(("change", "change_noise"), mean_and_error(after - before), strict=True))
         path = Path(out) / f"{scene}.{name}.npz"
-        np.savez_compressed(path, linear=linear.astype(np.float32), noise=noise.astype(np.float16))
+        np.savez_compressed(path, **{key: values.astype(np.float32) for key, values in arrays.items()})
         print(path, flush=True)
 
 
