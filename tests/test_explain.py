@@ -15,6 +15,7 @@ from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Halves
 from lib.given import jpeg
 from lib.given.falloff import Lens
+from lib.given.materials import Why
 from lib.given.transfer import Transfer
 from lib.light.form_factors import FormFactorRows
 from tests.helpers.made_problems import COLOURS, made
@@ -266,3 +267,12 @@ def test_a_lamp_as_told_is_not_doubted_beside_a_curve():
     for deviating in (through_a_curve(problem, film), darkened(problem, pixel)):
         found = explain.explain(deviating, leave, max_iterations=40)
         assert found.taken and explain.lamps_told_wrong(found, leave) == []
+
+
+def test_what_is_displaced_tells_what_was_unknown():
+    unknown, missing, colour = (
+        Why(c, None, c, n) for c, n in (("unknown", None), ("object_missing", 20.0), ("lamp", 30.0))
+    )
+    assert agreement.joined([unknown], []) == [unknown]
+    assert agreement.joined([unknown], [missing]) == [missing]
+    assert agreement.joined([colour], [missing]) == [colour, missing] == agreement.joined([missing], [colour])

@@ -214,6 +214,8 @@ def test_the_spread_criterion_of_46():
     epsilon, pixels = np.array([0.3, 1.0, 1.0]), np.ones(3)
     assert paper.group_correction(epsilon, pixels, symmetric=False) == pytest.approx(0.3)
     assert paper.group_correction(epsilon, pixels, symmetric=True) == pytest.approx(1.0)
+    larger = np.array([1.0, 1.1]), np.array([300, 100])
+    assert all(paper.group_correction(*larger, symmetric=way) == pytest.approx(1.025) for way in (False, True))
 
 
 # -- transfer

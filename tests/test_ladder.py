@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from lib.analysis import ladder, rungs
-from lib.analysis.climbing import Place
+from lib.analysis.climbing import Climb, Place
 from lib.analysis.misfits import Misfit
 from lib.analysis.strangers import Thing
 from lib.core import stage
@@ -160,6 +160,12 @@ def test_what_a_group_may_keep_asks_for_no_lobe():
     assert lobe.explained == 0 and not lobe.is_at_border
     assert replace(lobe, diffuse=off(0.003)).explained == pytest.approx(0.25)
     assert replace(lobe, diffuse=off(0.02)).explained == 1
+
+
+def test_which_groups_are_on_a_rung():
+    places = {0: Place(), 1: Place(rung="textured"), 2: Place(rung="mirror")}
+    climb = Climb(None, None, "lamps", places, {}, {}, None, None)
+    assert climb.on("mirror", "textured") == [1, 2] and climb.on("diffuse") == [0] and climb.on("glossy") == []
 
 
 @pytest.mark.parametrize("on_plain", [True, False])

@@ -8,7 +8,7 @@ import pytest
 from lib.given import model
 from lib.light import adapt, form_factors, hemicube
 from lib.light.lamps import emitters, patch_direct
-from lib.light.surface import covered, group_areas, lids
+from lib.light.surface import covered, group_areas, lids, surface
 from tests.helpers import rooms
 from tests.helpers.small_scenes import finish
 
@@ -240,3 +240,13 @@ def test_an_open_model_is_said_to_be_open(run, tmp_path):
         opening = {error["name"]: error["value"] for error in said["errors"]}["row_sum.largest_opening"]
         assert opening > 0.1 and len(said["warnings"]) == n
         assert all(line.startswith("the model is open: ") and "is missing" in line for line in said["warnings"])
+
+
+def test_the_surface_of_a_model_is_kept_for_the_same_lamps(root):
+    room = model.load(root / "data/office/model.obj")
+    kept = surface(room, ("lamp",))
+    assert surface(room, ("lamp",)) is kept and surface(room, ()) is not kept
+    assert (
+        surface(room, ("lamp", "none")) is kept
+        and surface(model.load(root / "data/office/model.obj"), ("lamp",)) is not kept
+    )

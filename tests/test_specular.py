@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib.analysis import gauss_newton, transport
+from lib.analysis import gauss_newton, receivers, transport
 from lib.analysis import mixture as mixture_
 from lib.analysis import problem as problem_
 from lib.analysis.equations import Equations, Layout, Unknowns
@@ -969,3 +969,8 @@ def test_the_virtual_index_buffer(mirrors, missing):
     inward = (view.direction[there] * s.normal[end[there]]).sum(axis=1) > 0
     assert (view.side[there] == 2 * end[there] + inward).all()
     assert (end < 0).any() == (view.facet < 0).any() or (end < 0).mean() < 0.005
+
+
+def test_a_few_of_each_set_lie_evenly():
+    start, chosen = receivers.few(np.array([0, 10, 13]), 4)
+    assert start.tolist() == [0, 4, 7] and chosen.tolist() == [0, 2, 5, 7, 10, 11, 12]
