@@ -52,15 +52,13 @@ def main(opt):
             import scipy.sparse.csgraph  # noqa: F401
 
             from lib.light.balance import unsolved
-            from lib.picture import augmented, rendering
+            from lib.picture import augmented
             from lib.picture import subject as subjects
 
             packages.open3d()
         names = "model camera photograph facet formfactors materials coverage specular"
         files = {name: getattr(opt, name) for name in names.split()}
         quality = subjects.Quality(opt.rays, opt.shadow_rays, opt.contact, opt.tolerance, opt.lobe_rays)
-        with report.excluded("compile"):
-            rendering.warm_up(3, shiny=True)
         with report.timing("read"):
             scene = augmented.read(opt.entry, files, n_rays=opt.patch_rays)
         how = {"timing": report.timing}

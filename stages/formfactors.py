@@ -39,11 +39,9 @@ def main(opt):
             import scipy.sparse.csgraph  # noqa: F401  here, where it counts as an import; `opening_to_light` uses it
 
             from lib.given import model as models
-            from lib.light import adapt, factors_file, small_room
+            from lib.light import adapt, factors_file
             from lib.light import lamps as lamps_
             from lib.light import surface as surfaces
-        with report.excluded("compile"):
-            small_room.warm_up()
         model = models.load(opt.model)
         absent = [name for name in opt.lamps if name not in model.groups]
         if absent:

@@ -41,10 +41,8 @@ def main(opt):
 
             from lib.analysis import gather
             from lib.given.view import View
-            from lib.light import factors_file, small_room
+            from lib.light import factors_file
             from lib.light import surface as surfaces
-        with report.excluded("compile"):
-            small_room.warm_up()
         with report.timing("read"):
             files = "camera model photograph facet trusted"
             view = View.read(**{name: getattr(opt, name) for name in files.split()})

@@ -42,10 +42,8 @@ def main(opt):
             import pycolmap  # noqa: F401
 
             from lib.given import model as models
-            from lib.vision.location import files, positions, session
+            from lib.vision.location import files, session
             from lib.vision.refinement import rig
-        with report.excluded("compile"):
-            positions.warm_up()
         if not photos:
             raise stage.BadInput(f"{opt.photos}: there are no photographs in it")
         with report.timing("read"):

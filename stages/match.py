@@ -40,8 +40,6 @@ def main(opt):
             from lib.core import artefact
             from lib.vision import matching
             from lib.vision.matches import write_matches
-        with report.excluded("compile"):
-            matching.warm_up()
         with report.timing("read"):
             pair, values, labels = matching.read_pair(
                 (opt.camera, opt.camera_right),

@@ -56,11 +56,9 @@ def main(opt):
             from lib.core import artefact
             from lib.given import image
             from lib.given.view import View
-            from lib.light import factors_file, outside, small_room, throws
+            from lib.light import factors_file, outside, throws
             from lib.light import surface as surfaces
             from lib.picture import appearance, gouraud
-        with report.excluded("compile"):
-            small_room.warm_up()
         view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph, facet=opt.facet)
         factors = factors_file.read(opt.formfactors, view.model, opt.model)
         surface = surfaces.surface(view.model, factors.lamps)

@@ -76,10 +76,7 @@ def main(opt):
             from lib.given.model import parts
             from lib.vision import facets_file
             from lib.vision.corners import answer
-            from lib.vision.recognition import recognise as recognition
             from lib.vision.refinement import rig
-        with report.excluded("compile"):
-            recognition.warm_up()
         with report.timing("read"):
             model = models.load(opt.model)
             scene = facets_file.read_scene(opt.facets)

@@ -48,8 +48,6 @@ def main(opt):
             from lib.vision.facets import outlines
             from lib.vision.facets import planes as facets
             from lib.vision.matches import read_matched_labels
-        with report.excluded("compile"):
-            facets.warm_up()
         with report.timing("read"):
             pair, values, labels = matching.read_pair(
                 (opt.camera, opt.camera_right),

@@ -72,8 +72,6 @@ def main(opt):
         subject = subjects.read(**{name: getattr(opt, name) for name in files.split()})
         for text in subject.warnings:
             report.warning(text)
-        with report.excluded("compile"):
-            rendering.warm_up(subject.channels, shiny=subject.appearance.finish is not None)
 
         quality = subjects.Quality(opt.rays, opt.shadow_rays, opt.contact, opt.tolerance, opt.lobe_rays)
         picture = rendering.render(subject, quality, timing=report.timing, trace=report.trace)

@@ -54,12 +54,9 @@ def main(opt):
     with Report.of(opt) as report:
         with report.excluded("imports"):
             import cv2  # noqa: F401  where lib/ imports late
-            import numpy as np
 
             from lib.given import image
             from lib.vision import label_files, segmentation
-        with report.excluded("compile"):
-            segmentation.segment(np.eye(4)[..., None], 0.01)
 
         sides = {"left": (opt.photograph, opt.regions), "right": (opt.photograph_right, opt.regions_right)}
         sides = {side: paths for side, paths in sides.items() if paths[0]}

@@ -39,8 +39,6 @@ def main(opt):
             import numpy as np
 
             from lib.vision import creases, label_files, necks, surfaces
-        with report.excluded("compile"):
-            surfaces.warm_up()
         sides = {"left": (opt.photograph, opt.regions, opt.surfaces)}
         if opt.photograph_right:
             sides["right"] = of_right

@@ -65,7 +65,8 @@ class Project:
             path = folder / "lib" / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
-        shutil.copy(ROOT / "lib/core/compiled.py", folder / "lib/core/compiled.py")
+        for name in ("apart.py", "compiled.py"):
+            shutil.copy(ROOT / "lib/core" / name, folder / "lib/core" / name)
 
     def edit(self, name, before, after):
         """The edited file keeps its time: only its content tells."""

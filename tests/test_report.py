@@ -247,6 +247,25 @@ def test_what_is_excluded_counts_nowhere_else(tmp_path):
     assert r["wall_s"] >= 0.045
 
 
+def test_what_loads_itself_is_listed_apart(run, tmp_path):
+    """A kernel where it is first called, Open3D where it is first asked for: neither counts as the stage's work."""
+    done = run(
+        "-c",
+        "import sys\n"
+        "from lib.core import packages\n"
+        "from lib.core.report import Report\n"
+        "with Report(sys.argv[1]) as report:\n"
+        "    from lib.core.compiled import numba\n"
+        "    with report.timing('work'):\n"
+        "        numba.njit(lambda x: 2 * x)(1.0)\n"
+        "        packages.open3d()\n",
+        tmp_path / "r.json",
+    )
+    assert done.returncode == 0, done.stderr
+    r = artefact.read_json(tmp_path / "r.json")
+    assert r["compile_s"] > 0.01 and r["imports_s"] > 0.2 and r["timings"]["work"]["cpu_s"] < 0.05
+
+
 def test_child_processes_count(tmp_path):
     with Report(tmp_path / "r.json"):
         subprocess.run([sys.executable, "-S", "-c", "import time\nwhile time.process_time() < 0.15: pass"], check=True)

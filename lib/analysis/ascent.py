@@ -16,7 +16,7 @@ from lib.analysis.textures import write_textures
 from lib.core import artefact
 from lib.given import image
 from lib.given.view import View
-from lib.light import small_room, specular, specular_file
+from lib.light import specular, specular_file
 from lib.light import surface as surfaces
 from lib.light.chains import MIRROR
 from lib.light.factors_file import FormFactors
@@ -31,12 +31,6 @@ class Ascent(NamedTuple):
 
     site: Site
     climb: Climb
-
-
-def warm_up():
-    """Load or compile what only climbs need."""
-    small_room.warm_up()
-    specular.warm_up()
 
 
 def ascend(

@@ -26,6 +26,7 @@ class Unknowns(NamedTuple):
     """Values of everything that may be free.
 
     rho : (G, C);  E : (L, C);  rho_s : (M, C) or None;  bend : (n,) or None;  cause : (k,) or None
+    near : Equations at such values, from whose light the balance is solved soonest, or None
     """
 
     rho: np.ndarray
@@ -34,6 +35,7 @@ class Unknowns(NamedTuple):
     rho_s: np.ndarray | None = None
     bend: np.ndarray | None = None
     cause: np.ndarray | None = None
+    near: Equations | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,10 @@ class Layout:
             return cls(rho, E, np.zeros((0, 2), int), (), n, k, spread)
         bend = tuple((shape.low, shape.high) for shape in terms.bend)
         return cls(rho, E, np.argwhere(np.isnan(terms.rho_s)), bend, n, k, spread)
+
+    def lights_alike(self, other: Layout) -> bool:
+        """The same parameters change the patches' light."""
+        return all(np.array_equal(getattr(self, part), getattr(other, part)) for part in ("rho", "E", "rho_s"))
 
     @property
     def ends(self):
@@ -154,6 +160,16 @@ class Equations:
         self.state = State(at.rho, at.E, at.transfer, B, b, at.rho_s, at.bend, at.cause)
         self.residual, self.slope, self.by_transfer = display_residual(problem, B, at.transfer)
         self.residual = self.residual + self._caused()
+
+    @classmethod
+    def begun(cls, problem: Problem, light: TileLight, layout: Layout, start: Unknowns) -> Equations:
+        """At `start`, solved from where the light near by stands."""
+        near = start.near
+        if near is None or near.state.b.shape != (len(problem.area), problem.channels):
+            return cls(problem, light, layout, start)
+        if layout.lights_alike(near.layout):
+            light.derivative = near.light.derivative
+        return cls(problem, light, layout, start, x0=near.state.b)
 
     def _caused(self):
         """What the cause adds to the residual, (T, C) or 0."""

@@ -34,7 +34,7 @@ def gauss_newton(
         begins = gamma is not None and problem.fit_transfer and problem.transfer.kind == "gamma"
         transfer = problem.transfer.moved([gamma]) if begins else problem.transfer
         start = Unknowns(*initialise(problem, transfer), transfer)
-    at = Equations(problem, light, layout, _begun(problem, layout, start))
+    at = Equations.begun(problem, light, layout, _begun(problem, layout, start))
     solvable = layout.size > 0 and len(problem.tile_group) > 0
     at, converged, iteration = _least_squares(problem, at, max_iterations if solvable else 0, tolerance, trace)
     converged = converged or layout.size == 0

@@ -362,10 +362,9 @@ def _of_groups(task, explained, audit, judged, report) -> Answer:
         return _answer(explained, audit, judged)
     if _is_wrong_everywhere(explained, audit, judged):
         return _answer(explained, audit, judged)
-    with report.excluded("compile"):
+    with report.excluded("imports"):
         from lib.analysis import ascent
 
-        ascent.warm_up()
     done = ascent.ascend(
         task.view(),
         task.factors,

@@ -6,6 +6,8 @@ numba keys its cache by the file that a function stands in. A kernel that calls 
 constants, would go on running with the old ones after an edit there. So each module of kernels gets a folder of its
 own. The folder is named by a hash of the module's source, of the kernel modules that it imports, at any depth, and of
 numba's version.
+
+A kernel is compiled, or read from the cache, when it is first called: an open report lists that apart, as `compile_s`.
 """
 
 import contextlib
@@ -17,11 +19,15 @@ import re
 import shutil
 import sys
 import tempfile
+import threading
 import types
 from pathlib import Path
 
 import numba
 from numba import prange
+from numba.core import event
+
+from lib.core.apart import apart
 
 __all__ = ["njit", "prange"]
 
@@ -45,6 +51,24 @@ def _load_blas():
 
 
 _load_blas()
+
+
+class _Apart(event.Listener):
+    """Lists apart in the open report while numba's lock is held: by what is compiled, or read from the cache."""
+
+    def __init__(self):
+        self._held = threading.local()
+
+    def on_start(self, event):
+        kept = contextlib.ExitStack()
+        kept.enter_context(apart("compile"))
+        self._held.all = [*getattr(self._held, "all", ()), kept]
+
+    def on_end(self, event):
+        self._held.all.pop().close()
+
+
+event.register("numba:compiler_lock", _Apart())
 
 
 def njit(**options):

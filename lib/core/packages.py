@@ -1,13 +1,16 @@
 """Heavy packages, imported without the parts that draw windows and figures.
 
 `import open3d` takes 1.1 s of CPU, 0.6 of them for widgets and plots, `import colour` 1.3, 0.4 of them for Matplotlib.
-A stage needs neither.  Imported from here, an empty module stands in for that part meanwhile.
+A stage needs neither.  Imported from here, an empty module stands in for that part meanwhile, and the time is listed
+with the stage's imports.
 """
 
 import importlib
 import sys
 import types
 import warnings
+
+from lib.core.apart import apart
 
 
 def open3d():
@@ -28,6 +31,7 @@ def _without(package, part):
     name = f"{package}.{part}"
     sys.modules[name] = types.ModuleType(name)
     try:
-        return importlib.import_module(package)
+        with apart("imports"):
+            return importlib.import_module(package)
     finally:
         del sys.modules[name]  # who asks for it later gets it

@@ -11,7 +11,8 @@
 `cpu_s` is the processor time of all threads and of finished child processes, `wall_s` the time on the clock.  Both run
 since the report began, without what `excluded` took.  That is listed apart, in CPU seconds as `imports_s`, `compile_s`
 and so on, on the clock as `imports_wall_s`, `compile_wall_s` and so on.  Imports include what ran before the report
-began: the interpreter and the modules at the top of the stage.
+began: the interpreter and the modules at the top of the stage.  Kernels that are compiled or read from their cache, and
+heavy packages that are imported where they are first needed, list themselves (lib/core/apart.py).
 
 `waited_s` is what a user waits: the clock since the process began.  It is `wall_s` and all that is listed apart.
 """
@@ -25,7 +26,7 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from lib.core import artefact, stage
+from lib.core import apart, artefact, stage
 from lib.core.stage import BadInput
 
 # modules -> packages; those that a stage really loaded are listed in its report
@@ -123,13 +124,14 @@ class Report:
             raise BadInput(*(f"{p}: there is no such file" for p in missing))
         self._begin = Clocks.now()
         self._before = self._apart["imports"] = Clocks(self._begin.cpu, age_s())
+        apart.opened.append(self)
         return self
 
     def clocks(self) -> Clocks:
         """Time since the report began, less what was excluded; both clocks stand still inside `excluded`."""
         elapsed = (self._inside or Clocks.now()).since(self._begin)
-        cpu = sum(apart.cpu for apart in self._apart.values()) - self._before.cpu
-        wall = sum(apart.wall for apart in self._apart.values()) - self._before.wall
+        cpu = sum(each.cpu for each in self._apart.values()) - self._before.cpu
+        wall = sum(each.wall for each in self._apart.values()) - self._before.wall
         return elapsed.since(Clocks(cpu, wall))
 
     @contextlib.contextmanager
@@ -184,6 +186,7 @@ class Report:
         return self._more[key]
 
     def __exit__(self, kind, value, traceback):
+        apart.opened.remove(self)
         if kind is not None:
             return False
         with self.excluded("hashing"):
@@ -197,10 +200,10 @@ class Report:
             there = [path for path in self.outputs if os.path.isfile(path)]
             described["output_bytes"] = {os.path.relpath(path, here): os.path.getsize(path) for path in there}
         cpu, wall = self.clocks()
-        waited = wall + sum(apart.wall for apart in self._apart.values())
+        waited = wall + sum(each.wall for each in self._apart.values())
         fields = {"status": self.status, "wall_s": wall, "cpu_s": cpu, "waited_s": waited, "peak_mb": peak_mb()}
-        for label, apart in self._apart.items():
-            fields[f"{label}_s"], fields[f"{label}_wall_s"] = apart.cpu, apart.wall
+        for label, took in self._apart.items():
+            fields[f"{label}_s"], fields[f"{label}_wall_s"] = took.cpu, took.wall
         fields |= {
             "timings": self._timings,
             "warnings": self.warnings,

@@ -15,11 +15,19 @@ from lib.light import radiosity
 
 BALANCED = 1e-4  # largest relative residual of a light balance that counts as solved; it is solved to 1e-5 or better
 DENSE_LIMIT = 6000  # patches up to which F is kept dense: BLAS is then faster than sparse products
+_kept = []  # [(sparse, dense)]
 
 
 def stored(F):
-    """F as it multiplies fastest: dense up to DENSE_LIMIT patches, else sparse."""
-    return F.toarray() if hasattr(F, "toarray") and F.shape[0] <= DENSE_LIMIT else F
+    """F as it multiplies fastest: dense up to DENSE_LIMIT patches, else sparse.
+
+    The last is kept: several fits ask for the same.
+    """
+    if not hasattr(F, "toarray") or F.shape[0] > DENSE_LIMIT:
+        return F
+    if not _kept or _kept[0][0] is not F:
+        _kept[:] = [(F, F.toarray())]
+    return _kept[0][1]
 
 
 def times(matrices, X, channel=None):

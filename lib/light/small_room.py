@@ -1,4 +1,4 @@
-"""A small room with a lamp: what warms kernels up, so that a stage's times are those of its work."""
+"""A small room with a lamp: what warms kernels up, so that a bench's times are those of its work."""
 
 from __future__ import annotations
 

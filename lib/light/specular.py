@@ -18,14 +18,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lib.light import adapt, form_factors, mirror_view
+from lib.light import form_factors
 from lib.light import lamps as lamps_
 from lib.light.cells import Mesh
-from lib.light.chains import GLOSSY, MIRROR, Chains, Finish
+from lib.light.chains import Chains, Finish
 from lib.light.form_factors import chunks, located
 from lib.light.form_factors_kernels import DROPPED, ESCAPED
 from lib.light.paths import DEPTH, Met, first_met, follow
-from lib.light.small_room import small_room
 from lib.light.specular_lamps import add_lamps, lamp_found, lobe_light, mirrored_lamps
 from lib.light.surface import Surface
 
@@ -276,26 +275,3 @@ class SpecularLight:
     every: list
     E_every: np.ndarray
     complete: int
-
-
-def warm_up():
-    """Load or compile every kernel, in a room with a mirror and a glossy wall."""
-    surface = small_room("wall", "mirror", "gloss", "wall", "lamp", "wall")
-    lamps = lamps_.emitters(surface, ["lamp"])
-    mesh = adapt.build(surface, patches=20, max_level=0, contrast=1.0, emitters=lamps)
-    alpha, tangent = np.array([[0, 0], [0.2, 0.1]]), np.array([[0, 0, 0], [0, 0, 1.0]])
-    finish = Finish((1, 2), np.array([MIRROR, GLOSSY]), alpha, tangent)
-    chains = Chains(2)
-    transport(surface, mesh, finish, chains, lamps, 1, n_rays=16)
-    views = np.array([[0, 0, 0, 0, 0, -1], [0, 0, 0, -0.6, 0, -0.8]], np.float32)
-    mirror_view.through_mirrors(surface, finish, chains, views)
-    begin = from_views(
-        surface,
-        np.array([0, 8]),
-        np.array([0, 1]),
-        surface.origin[2:3] + 0.1 * surface.axes[2].sum(axis=0),
-        np.array([2], np.int32),
-        -surface.normal[2:3],
-        np.zeros(1, np.int32),
-    )
-    rows(surface, mesh, finish, chains, lamps, 1, np.array([0, 8]), begin)

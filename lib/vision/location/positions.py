@@ -133,13 +133,6 @@ def search(room, segments, camera, turns) -> list[Start]:
     return starts
 
 
-def warm_up():
-    """Compiles, or reads from the cache, what is compiled."""
-    field = kernels.Field(np.zeros((2, 2, 2), np.float32), np.zeros(2), 4.0)
-    one = np.ones((1, 3))
-    kernels.scores(field, np.eye(3), np.eye(3), one, one, one, np.ones(1), np.ones((1, 1), bool))
-
-
 def _different(found, cell):
     """Without those that a better one is near to."""
     kept = []
