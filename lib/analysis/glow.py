@@ -51,13 +51,27 @@ def unsure(view: View, factors: FormFactors, found: Gathered) -> list:
     return changes
 
 
+def may_come_in(factors: FormFactors, found: Gathered, fit: Candidate) -> bool:
+    """A glow would explain more than the dark, where the model is open: only then rays must tell how it comes in.
+
+    factors, found : which do not know the outside yet;  fit : of them
+    """
+    opened = outside.openings_to_light(factors)
+    return outside.is_open(opened) and _promise(fit, opened, outside.openings(found.tiles.rows)) > 0
+
+
 def promise(found: Candidate) -> float:
     """Nats that one step towards an even glow brings, of each channel for itself."""
-    problem, at = found.problem, found.result.at
-    k, C = [problem.lamps.index(OUTSIDE[0])], problem.channels
+    k = found.problem.lamps.index(OUTSIDE[0])
+    return _promise(found, found.problem.D[:, k], found.problem.D_tile[:, k])
+
+
+def _promise(found: Candidate, D, D_tile) -> float:
+    """The same of a lamp with factors D (N,) to the patches and D_tile (T,) to the tiles."""
+    problem, at, C = found.problem, found.result.at, found.problem.channels
     rho, matrices = at.state.rho[problem.patch_group].astype(np.float32), at.light.matrices
-    b = reflected(matrices.F, rho, rho * problem.D[:, k].astype(np.float32), tolerance=1e-3).b
-    dB = at.shown_share * (problem.D_tile[:, k] + problem.G @ b)
+    b = reflected(matrices.F, rho, rho * D[:, None].astype(np.float32), tolerance=1e-3).b
+    dB = at.shown_share * (D_tile[:, None] + problem.G @ b)
     each = np.zeros((*dB.shape, C))
     each[:, np.arange(C), np.arange(C)] = dB
     return promised(problem, at, at.displayed(each)).nats - found.evidence.nats

@@ -70,9 +70,10 @@ def solve(task: Task, report: Report) -> Answer:
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
         if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
             return answer
-    problem = task.problem if edges is None else replace(task.problem, **_unsure(task, edges))
-    leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
-    first = explain.started(problem, leave, task.gamma, trace)
+    leave, first = _begun(task, edges, trace)
+    if task.around is not None and isinstance(first, Candidate) and glow.may_come_in(*task.lambertian, first):
+        task = task.around()
+        leave, first = _begun(task, edges, trace)
     may_move = may_refine and "lamp_place" in task.allowed and not edges.why
     if task.can_look and (answer := _at_once(task, first, leave, may_move, edges)):
         return answer
@@ -126,6 +127,13 @@ def solve(task: Task, report: Report) -> Answer:
         answer.ascent, found = None, answer.explained
         answer.problem, answer.result, answer.scale = found.problem, found.result, found.scale
     return answer
+
+
+def _begun(task, edges, trace):
+    """(Leave, the rough fit under the given facts)."""
+    problem = task.problem if edges is None else replace(task.problem, **_unsure(task, edges))
+    leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
+    return leave, explain.started(problem, leave, task.gamma, trace)
 
 
 def _is_specular(climb) -> bool:

@@ -34,6 +34,8 @@ class Task:
     gamma : where it starts
     may_refine : camera and model are as given, and others may be asked for;  refined : [Cause] that were, else
     options : of gauss_newton.gauss_newton
+    around : makes the same with what lies outside an open model among its lamps; None where that is there, or the model
+        is not known
     """
 
     problem: Problem
@@ -57,6 +59,7 @@ class Task:
     refined: list
     options: dict
     curve: Transfer | None = None
+    around: Callable[[], Task] | None = None
 
     @classmethod
     def read(cls, opt) -> Task:
@@ -76,12 +79,17 @@ class Task:
             found, audit = (gather.under_one_curve(each, curve) for each in (found, audit))
             transfer = curve.common
         shown = opt.audit and opt.camera and opt.model and opt.photograph and opt.facet
-        view = functools.cache(lambda: _view(opt, factors, curve))
-        if shown:
-            factors, found, audit = gather.with_outside(view, factors, found, audit)
-        lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
         if opt.lobes and not shown:
             raise BadInput("--lobes: without --audit, --camera, --model, --photograph and --facet")
+        view = functools.cache(lambda: _view(opt, factors, curve)) if shown else None
+        around = lambda: cls._of(opt, transfer, curve, view, *gather.with_outside(view, factors, found, audit))
+        task = cls._of(opt, transfer, curve, view, factors, found, audit)
+        return replace(task, around=around) if shown else task
+
+    @classmethod
+    def _of(cls, opt, transfer, curve, view, factors, found, audit) -> Task:
+        """transfer : what all channels have in common of the one that is told"""
+        lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
         lambertian = factors, found
         if lobes:
             factors, found, audit = lamp_lobe.in_lobes(view(), factors, lobes, found, audit)
@@ -90,7 +98,7 @@ class Task:
             found=found,
             factors=factors,
             camera=cameras.read_cameramodel(opt.camera) if opt.camera else None,
-            view=view if shown else None,
+            view=view,
             audit=audit,
             lamps=opt.lamps,
             place_sigma_m=opt.place_sigma_m,

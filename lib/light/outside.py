@@ -117,10 +117,15 @@ def openings_to_light(factors: FormFactors) -> np.ndarray:
     return np.where(lit, openings(factors.rows), 0.0)
 
 
+def is_open(share) -> bool:
+    """Enough light leaves some patch. share : (N,) of `openings_to_light`"""
+    return bool(share.max(initial=0.0) >= LEAST)
+
+
 def with_outside(factors: FormFactors, surface) -> FormFactors:
     """The factors with the outside as the last of the lamps, where the model is open. surface : () -> Surface"""
     share = openings_to_light(factors)
-    if share.max(initial=0.0) < LEAST:
+    if not is_open(share):
         return factors
     surface = surface()
     corners = surface.corners.reshape(-1, 3)
