@@ -20,6 +20,7 @@ PHOTOGRAPHIC = {
         "colours",
         "srgb",
         "tone",
+        "gamma",
         "exposure_dark",
         "exposure_bright",
         "jpeg",
@@ -31,7 +32,7 @@ PHOTOGRAPHIC = {
 }
 MODEL = {"objects", "lamp", "open", "open_room", "missing_object", "usemtl", "y_up", "millimetres", "flipped_lamp"}
 CAMERA = {"pose", "half_pixel", "turned"}
-FACTS = {"neutral_lamp", "lamp_power", "exposure_dark", "exposure_bright"}
+FACTS = {"neutral_lamp", "lamp_power", "gamma", "exposure_dark", "exposure_bright"}
 OBJ, MODEL_FILES = "model.obj", ("model.obj", "model.mtl")
 
 
@@ -188,6 +189,19 @@ def display(path):
 def deviated_file(scene, folder, kind, file):
     deviations.deviate(scene.folder, folder / kind, kind, 1)
     return folder / kind / file
+
+
+def test_another_gamma_at_another_exposure(scene, tmp_path):
+    """What is said is what the photograph shows of the true light."""
+    gammas, factors = [], set()
+    for seed in range(1, 9):
+        said, changed = deviated(scene, tmp_path / f"{seed}", "gamma", seed)
+        shown = image.read_photograph(changed.folder / "left.png").display
+        wanted = np.clip(said["factor"] * scene.given.B, 0, 1) ** (1 / said["gamma"])
+        assert np.abs(shown - wanted).max() <= 0.501 / 255
+        gammas.append(said["gamma"])
+        factors.add(said["factor"])
+    assert 1 <= min(gammas) < 1.7 and 2.2 < max(gammas) <= 2.8 and len(factors) == 3
 
 
 def test_tone_curves():

@@ -13,6 +13,7 @@ from lib.synthetic.given_scene import Given
 MIXED = (-0.15, 0.2)  # beside the diagonal
 CORNER_DEG = 37.0
 DARK, BRIGHT = 0.2, 2.5
+GAMMAS = (1.0, 2.8)
 FULL_WELL, READ_NOISE = 6000.0, 0.0015  # electrons at white; of white
 
 
@@ -99,6 +100,13 @@ def exposure_dark(given, random):
 def exposure_bright(given, random):
     """Two and a half times the light: bright places saturate."""
     return _exposed(given, BRIGHT)
+
+
+def gamma(given, random):
+    """A gamma from 1 to 2.8 at one of three exposures: dark, as it is, bright."""
+    told = round(float(random.uniform(*GAMMAS)), 3)
+    shown, said = _exposed(replace(given, gamma=told), (DARK, 1.0, BRIGHT)[random.integers(3)])
+    return shown, {"gamma": told, **said}
 
 
 # ---- noise and files ----

@@ -25,6 +25,7 @@ KINDS = {
     "colours": photographs.colours,
     "srgb": photographs.srgb,
     "tone": photographs.tone,
+    "gamma": photographs.gamma,
     "exposure_dark": photographs.exposure_dark,
     "exposure_bright": photographs.exposure_bright,
     "jpeg": photographs.jpeg,
