@@ -4,6 +4,7 @@ The problems here are made, see tests/helpers/made_problems.py.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from scipy.sparse import csr_array
 
 from lib.analysis import gauss_newton, paper, transport
 from lib.analysis.equations import Equations, Layout, Unknowns
-from lib.analysis.problem import TilePixels
+from lib.analysis.problem import CauseTerms, TilePixels
+from lib.analysis.uncertainty import _Normal
 from lib.given import transfer_kinds
 from lib.given.transfer import CURVES, Metric, Transfer
 from tests.helpers.made_problems import COLOURS, made
@@ -273,3 +275,35 @@ def test_a_tile_of_a_noisy_photograph_is_right_wherever_the_noise_came_to_it(sig
     off = transfer.display(seen) - level[:, 0]
     assert abs(off.mean()) < 0.05 * sigma**2 + 2e-4
     assert off.std() < 1.3 * np.sqrt(1.5) * sigma / np.sqrt(6000) + 3e-4
+
+
+def normal_equations(J, residual, weight=1.0):
+    """What uncertainty._Normal.beside needs of a fit, by hand; without a prior."""
+    return SimpleNamespace(
+        J=J,
+        weight=np.full(len(J), weight),
+        prior=np.zeros((J.shape[1],) * 2),
+        inverse=np.linalg.inv(weight * J.T @ J),
+        at=SimpleNamespace(residual=residual),
+    )
+
+
+@pytest.mark.parametrize(("left", "unknown"), [(1e-5, 1.0), (1e-3, 0.5**0.5), (1e-2, 0.0)])
+def test_what_changes_no_tile_tells_nothing(left, unknown):
+    """A function that another resembles to less than light is known to (1e-3) may be that one, however surely the
+    residuals speak; ten times further apart they alone count."""
+    rng = np.random.default_rng(3)
+    J, x, across = rng.normal(size=(4000, 3)), np.array([0.3, -0.2, 0.1]), rng.normal(size=4000)
+    across -= J @ np.linalg.lstsq(J, across, rcond=None)[0]
+    across *= left / np.sqrt(np.mean(across**2))
+    terms = CauseTerms(("response",), (J @ x + across)[:, None, None], np.ones(1))
+    found = _Normal.beside(normal_equations(J, np.zeros(4000), weight=1e12), terms, resolved=1e-3)
+    np.testing.assert_allclose(np.sqrt(np.diag(found)) / np.abs(x), unknown, atol=0.01)
+
+
+def test_a_doubt_does_not_depend_on_where_in_its_valley_a_fit_ended():
+    rng = np.random.default_rng(4)
+    J, noise = rng.normal(size=(500, 3)), rng.normal(size=500)
+    terms = CauseTerms(("response",), rng.normal(size=(500, 1, 1)), np.ones(1))
+    there, beside = (_Normal.beside(normal_equations(J, noise + J @ off), terms) for off in (np.zeros(3), np.ones(3)))
+    np.testing.assert_allclose(there, beside, rtol=1e-9)

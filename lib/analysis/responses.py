@@ -17,13 +17,11 @@ from lib.analysis.equations import smooth
 from lib.analysis.evidence import promised
 from lib.analysis.facts import USUAL_GAMMA
 from lib.analysis.problem import CauseTerms, display_residual, observe
+from lib.analysis.uncertainty import RESOLVED
 from lib.given.tone_curve import KNOTS
 from lib.given.transfer import Metric, Transfer
 
 ALIKE = 0.02  # display: a curve that is so near to a simpler function may be that one
-# Display, rms: light is not known to less. Curves of cameras change tiles by .0016 and more in 30 rooms; one that bent
-# to the light between shelves in a white room did by .0006, and brought 90 nats and reflectances 3 % off.
-RESOLVED = 0.001
 
 
 def promise(found: Candidate) -> float:
