@@ -9,6 +9,7 @@ from scipy.sparse import eye_array
 
 from lib.analysis import agreement, explain, strangers, unlike
 from lib.analysis.audit import Audit, Energy
+from lib.analysis.candidates import enough
 from lib.analysis.explain import Leave
 from lib.analysis.gather import Gathered, Tiles
 from lib.analysis.gauss_newton import gauss_newton
@@ -16,7 +17,7 @@ from lib.analysis.problem import Halves
 from lib.given import jpeg
 from lib.given.falloff import Lens
 from lib.given.materials import Why
-from lib.given.transfer import Transfer
+from lib.given.transfer import Transfer, srgb_from_linear
 from lib.light.form_factors import FormFactorRows
 from tests.helpers.made_problems import COLOURS, made
 
@@ -157,13 +158,26 @@ def test_lamps_that_are_told_wrongly_promise_more_than_any_cause(times):
     found = {"right": problem, "wrong": wrong, "dark": darkened(problem, pixel)}
     first = {name: explain.started(one, leave) for name, one in found.items()}
     promised = {name: explain.promises(one, leave) for name, one in first.items()}
-    alone = lambda name: explain.lamps_alone(first[name], promised[name])
+    alone = lambda name: explain.lamps_alone(first[name], promised[name], leave)
     assert max(promised["right"].values()) < 10
     assert max(promised["dark"], key=promised["dark"].get) == "vignetting"
     assert max(promised["wrong"], key=promised["wrong"].get) == explain.LAMPS
     assert alone("right") is None is alone("dark")
     found = alone("wrong").result.state.E
     assert np.abs(found / problem.emittance - 1).max() < 0.02
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_srgb_is_no_lamp_that_is_told_wrongly(free):
+    """Lamps bend to a function that is not the camera's; sRGB has no free number, so it goes first where it may."""
+    problem, _ = photographed()
+    shown = replace(problem, pixels=srgb_from_linear(problem.transfer.linear(problem.pixels)))
+    leave = Leave(response=free)
+    first = explain.started(shown, leave)
+    gain = explain.lamps_alone(first, {explain.LAMPS: 0.0}, Leave(response=False))
+    assert gain is not None  # the lamps bend
+    promised = {explain.LAMPS: gain.evidence.nats - first.evidence.nats, "response": enough(shown)}
+    assert (explain.lamps_alone(first, promised, leave) is None) == free
 
 
 def test_what_a_table_leaves_is_not_held_against_a_lamp():

@@ -218,16 +218,21 @@ def lobes_may_explain(found: Explained, leave: Leave, nats) -> bool:
     return any(_uneven(base, leave.lobes).evidence.nats > nats for base in (found.given, found.best))
 
 
-def lamps_alone(first: Candidate, promised: dict) -> Candidate | None:
+def lamps_alone(first: Candidate, promised: dict, leave: Leave) -> Candidate | None:
     """The fit with lamps of any emittance, where free ones promise more than any cause and keep it.
 
-    Right ones promise nothing, and beside other causes at most a third of what these do. promised : of `promises`
+    Right ones promise nothing, and beside other causes at most a third of what these do; nor are they wrong where sRGB,
+    which has no free number, explains as much. promised : of `promises`
     """
     most = max(promised.values())
     if promised.get(LAMPS, -np.inf) < most:
         return None
     free = _with_lamps_freed(first)
-    return free if free.evidence.nats - first.evidence.nats >= most else None
+    if free.evidence.nats - first.evidence.nats < most:
+        return None
+    asks = leave.response and first.kind == "gamma" and promised.get("response", -np.inf) >= enough(first.problem)
+    is_srgb = asks and responses.under_srgb(first).evidence.nats >= free.evidence.nats - enough(first.problem)
+    return None if is_srgb else free
 
 
 def _with_lamps_freed(first: Candidate) -> Candidate:

@@ -176,7 +176,7 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
             return replace(seen(), why=why)
         if refined := _by_light(task, rough, above=most):
             return _answer(given(), refined=refined, why=refined.why)
-    why = _lamps_told_wrong(task, first, promised, given)
+    why = _lamps_told_wrong(task, first, leave, promised, given)
     return _named(task, given(), why) if why else None
 
 
@@ -196,9 +196,9 @@ def _transfer_told_wrong(task, first, leave, promised, given) -> list:
     return why if why and _suffices_alone(task, given(), _alone(task, other[0])) else []
 
 
-def _lamps_told_wrong(task, first, promised, given) -> list:
+def _lamps_told_wrong(task, first, leave, promised, given) -> list:
     """[Why] of lamps that are told, where others leave nothing to explain."""
-    free = None if task.lobes else explain.lamps_alone(first, promised)
+    free = None if task.lobes else explain.lamps_alone(first, promised, leave)
     if free is None:
         return []
     other = _alone(task, free)
