@@ -372,6 +372,31 @@ def test_nothing_of_the_eye_goes_into_a_smooth_mirrors_inside(scene):
     assert isinstance(read.changed.curved, curved.Curved)
 
 
+def test_a_smooth_glossy_ball_shows_its_lobe(scene):
+    """Narrow and without a diffuse part it is a mirror ball, but for light that mirrors bring beside it."""
+    quality, pictures = replace(QUALITY, lobe_rays=64), []
+    ball = {"sphere": 0.4, "at": [2, 1, 0.8]}
+    sharp = {"kind": "glossy", "rho_d": [0.0] * 3, "rho_s": [1.0] * 3, "alpha": [0.01, 0.01]}
+    for material in ({"kind": "mirror"}, sharp, sharp | {"rho_s": [0.0] * 3}):
+        read = augmented.read({"name": "x", "add": ball | {"material": material}}, scene)
+        pictures.append(differential.renderings(read.recovered, read.changed, quality).after)
+    shows = cv2.erode(read.changed.curved.has(read.changed.facet).astype(np.uint8), np.ones((3, 3))) > 0
+    mirror, gloss, black = (picture[shows] for picture in pictures)
+    assert len(mirror) > 200 and black.max() < 1e-9
+    assert abs(np.median(gloss / mirror) - 1) < 0.03
+    assert np.sqrt(np.mean((np.minimum(gloss, 1) - np.minimum(mirror, 1)) ** 2)) < 0.05
+
+
+def test_a_mirror_ball_shows_the_lobe_of_a_floor(scene):
+    """A floor that reflects in a lobe alone is not black in a ball above it."""
+    floor = {"bottom": {"kind": "glossy", "rho_d": [0.0] * 3, "rho_s": [0.8] * 3, "alpha": [0.3, 0.3]}}
+    ball = {"sphere": 0.4, "at": [2, 1, 0.8], "material": {"kind": "mirror"}}
+    read = augmented.read({"name": "x", "add": ball, "change": floor}, scene)
+    after = differential.renderings(read.recovered, read.changed, QUALITY).after
+    shows = cv2.erode(read.changed.curved.has(read.changed.facet).astype(np.uint8), np.ones((3, 3))) > 0
+    assert (after[shows].max(axis=1) > 0.02).all()
+
+
 LOW = subjects.Quality(n_rays=16, shadow_rays=4, n_texels=2000, lobe_rays=8)
 GREY = {"kind": "diffuse", "rho_d": [0.5] * 3}
 ANYTHING = {

@@ -1,7 +1,7 @@
 """Smooth surfaces and mirrors of many facets, as the eye sees them, at once or in other mirrors.
 
 Light spreads over flat facets. Where the eye looks at an ellipsoid, the place and the normal are those of the ellipsoid
-itself: a mirror's ray goes on from there, and a diffuse surface has no edges.
+itself: a mirror's ray goes on from there, a lobe is about that normal, and a diffuse surface has no edges.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from lib.light import lamps
 from lib.light.chains import Chains, Finish
 from lib.light.mirror_view import MirrorView, through_mirrors
 from lib.light.surface import Surface, side_normals
-from lib.picture import light_map
+from lib.picture import glossy, light_map
+from lib.picture.glossy import lobes
 
 DEPTH = 8  # curved mirrors in a row that a ray of the eye follows
 SUB = 4  # sub-pixels across a pixel of one facet
+LOBE_RAYS = 8  # at each place on a smooth surface, and of each ray that meets a glossy one by way of a mirror
 SHADOW_RAYS = 16  # at each place of a smooth surface
 NOTHING = Finish((), np.zeros(0, int), np.zeros((0, 2)), np.zeros((0, 3)))  # no mirrors
 
@@ -84,7 +86,7 @@ class Curved:
         n[at] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         return p, n
 
-    def light(self, subject, lit, facet, p, direction, depth=0):
+    def light(self, subject, lit, facet, p, direction, depth=0, *, lobe_rays=LOBE_RAYS):
         """(n, C) what leaves facets (n,) that this has towards the eye, whose rays meet them at p (n, 3).
 
         direction : (n, 3) unit, of the rays
@@ -104,10 +106,16 @@ class Curved:
         at = np.flatnonzero(~self.mirror[facet])
         if len(at):
             out[at] = self._diffuse(subject, lit, facet[at], p[at], n[at], direction[at])
+            finish = subject.appearance.finish
+            if finish is not None:
+                at = at[np.isin(subject.surface.group[facet[at]], finish.groups)]
+                at_once = np.zeros(len(at), np.int32)
+                along = np.asarray(direction[at], float)
+                out[at] += lobes(lit, p[at], facet[at], along, at_once, lobe_rays, normal=n[at])
         return out
 
     def _diffuse(self, subject, lit, facet, p, n, direction):
-        """Of smooth surfaces that are no mirrors."""
+        """What smooth surfaces that are no mirrors reflect diffusely."""
         surface = subject.surface
         each = np.arange(len(p))
         factor = lamps.direct(surface, lit.lamps, p, n, each, len(lit.E), n_samples=SHADOW_RAYS)
@@ -146,9 +154,9 @@ def _power(lit):
 
 
 def shade(subject, lit, view: MirrorView, near=None, *, depth=0, numbers=None):
-    """(n, C) what rays through mirrors show, without the lobes of glossy surfaces.
+    """(n, C) what rays through mirrors show.
 
-    Lamps by few shadow rays each; other light from the light map.
+    Lamps by few shadow rays each; other light from the light map, and in lobes by few rays.
     near : numbers of rays (m,) -> (m, C) other light, where it is known better, and (m,) bool where it is
     numbers : (n,) of the rays, see lamps.direct
     """
@@ -169,6 +177,7 @@ def shade(subject, lit, view: MirrorView, near=None, *, depth=0, numbers=None):
     )
     gone, light = outside(lit, view)
     B[gone] = light
+    glossy.add(subject, lit, view, LOBE_RAYS, B)
     if subject.curved is not None:
         at = np.flatnonzero(subject.curved.has(view.facet))
         own = subject.curved.light(subject, lit, view.facet[at], view.p[at], view.direction[at], depth)

@@ -14,21 +14,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lib.light import specular
-from lib.light.chains import GLOSSY, MIRROR, Finish
-from lib.light.form_factors import CHUNK
+from lib.light.chains import GLOSSY, MIRROR
 from lib.light.mirror_view import MirrorView, through_mirrors
 from lib.light.surface import backproject
-from lib.picture import indirect, pixel_light, ray_light
+from lib.picture import indirect, pixel_light
 from lib.picture import reflections_kernels as kernels
 from lib.picture.curved import outside, shade
+from lib.picture.glossy import kinds, lobes
 from lib.picture.leaves import interpolated
 from lib.picture.lighting import Lighting
 from lib.picture.pixels import pixels
 from lib.picture.subject import Quality, Subject
 
 SUB = 4  # sub-pixels across a mixed pixel of the virtual picture
-EDGE_LOBE_RAYS = 8  # of each sub-pixel that shows a glossy surface in a mirror
 FRAGMENT_LOBE_RAYS = 32  # of each fragment of a glossy surface
 
 
@@ -67,7 +65,7 @@ def picture(subject: Subject, lit: Lighting, quality: Quality, light=None) -> Re
     """
     H, W = subject.facet.shape
     C = subject.channels
-    kind = _kind(subject, subject.facet).reshape(-1)
+    kind = kinds(subject, subject.facet).reshape(-1)
     out = Reflections(
         np.zeros((H, W, C)), np.full((H, W), -1, np.int32), np.zeros((H, W), np.int32), np.zeros((H, W, C))
     )
@@ -76,7 +74,7 @@ def picture(subject: Subject, lit: Lighting, quality: Quality, light=None) -> Re
     if len(mirror):
         view = mirror_view(subject, lit, mirror)
         _light_virtual_picture(subject, lit, quality, out, mirror, view, light)
-        at = np.flatnonzero((view.facet >= 0) & (_kind(subject, view.facet) == GLOSSY))
+        at = np.flatnonzero((view.facet >= 0) & (kinds(subject, view.facet) == GLOSSY))
         places.append(GlossyPlaces(mirror[at], view.p[at], view.facet[at], view.direction[at], view.chain[at]))
         out.facts["mirror_pixels"] = len(mirror)
     if len(glossy):
@@ -95,16 +93,7 @@ def picture(subject: Subject, lit: Lighting, quality: Quality, light=None) -> Re
 
 def mirrors(subject: Subject):
     """(n,) flat pixels that show a mirror at once."""
-    if subject.appearance.finish is None:
-        return np.zeros(0, np.int64)
-    return np.flatnonzero(_kind(subject, subject.facet).reshape(-1) == MIRROR)
-
-
-def _kind(subject, facet):
-    """DIFFUSE, MIRROR or GLOSSY of each facet number, of any shape; facets below 0 are diffuse."""
-    finish: Finish = subject.appearance.finish
-    of, _ = finish.facets(subject.surface)
-    return np.where(facet >= 0, np.append(finish.kind, 0)[of[np.maximum(facet, 0)]], 0)
+    return np.flatnonzero(kinds(subject, subject.facet).reshape(-1) == MIRROR)
 
 
 def _rays(subject, x, y):
@@ -166,43 +155,17 @@ def _light_virtual_picture(subject, lit, quality, out: Reflections, mirror, view
     out.indirect[virtual.y, virtual.x] = between
     gone, beyond = outside(lit, view)
     out.linear.reshape(H * W, -1)[mirror[gone]] = beyond
-    _with_curved(subject, lit, out, mirror, view)
+    _with_curved(subject, lit, out, mirror, view, quality.lobe_rays)
 
 
-def _with_curved(subject, lit, out: Reflections, mirror, view: MirrorView):
+def _with_curved(subject, lit, out: Reflections, mirror, view: MirrorView, lobe_rays):
     """Smooth surfaces and curved mirrors that mirrors show, into out.linear."""
     if subject.curved is None:
         return
     at = np.flatnonzero(subject.curved.has(view.facet))
-    light = subject.curved.light(subject, lit, view.facet[at], view.p[at], view.direction[at])
+    light = subject.curved.light(subject, lit, view.facet[at], view.p[at], view.direction[at], lobe_rays=lobe_rays)
     C = light.shape[1]
     out.linear.reshape(-1, C)[mirror[at]] = light * lit.ways.chains.power(lit.ways.rho_s)[view.chain[at]]
-
-
-def lobes(lit: Lighting, p, facet, direction, chain, n_rays, *, seed=19):
-    """(n, C) light in the lobes of places on glossy facets.
-
-    p : (n, 3) local, on the facets (n,);  direction : (n, 3) unit, along which they are seen by way of chains (n,)
-    """
-    total = np.zeros((len(p), lit.appearance.channels))
-    step = max(1, CHUNK // n_rays)
-    for a in range(0, len(p), step):
-        b = min(len(p), a + step)
-        m = b - a
-        some = slice(a, b)
-        begin = specular.from_views(
-            lit.surface,
-            np.arange(m + 1) * n_rays,
-            np.arange(m + 1),
-            p[some],
-            facet[some],
-            direction[some],
-            chain[some],
-        )
-        start, _ = begin(0, m)
-        element = np.repeat(np.arange(m), n_rays)
-        total[a:b] = ray_light.beyond(lit.surface, lit.shown, start, element, m, seed=seed) / n_rays
-    return total
 
 
 def _label(facet, chain):
@@ -250,13 +213,7 @@ def _beside(out: Reflections, view: MirrorView, y, x):
 
 def _shade(subject, lit, out: Reflections, view: MirrorView, y, x, numbers):
     """(n, C) what rays through mirrors show, whose indirect light is known beside (y, x). numbers : of `shade`"""
-    B = shade(subject, lit, view, _beside(out, view, y, x), numbers=numbers)
-    glossy = np.flatnonzero((view.facet >= 0) & (_kind(subject, view.facet) == GLOSSY))
-    if len(glossy):
-        B[glossy] += lobes(
-            lit, view.p[glossy], view.facet[glossy], view.direction[glossy], view.chain[glossy], EDGE_LOBE_RAYS
-        )
-    return B
+    return shade(subject, lit, view, _beside(out, view, y, x), numbers=numbers)
 
 
 def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections, *, steady=False):
@@ -265,7 +222,7 @@ def of_fragments(subject: Subject, lit: Lighting, pieces, mirrored: Reflections,
     Of mirrors it is the mean of the rays through each fragment's sub-pixels, of glossy surfaces the lobe at the
     fragment's middle.
     """
-    kind = _kind(subject, pieces.facet)
+    kind = kinds(subject, pieces.facet)
     total = np.zeros((len(pieces.facet), subject.channels))
     W = subject.facet.shape[1]
     sub = np.flatnonzero((pieces.owner >= 0) & (kind[np.maximum(pieces.owner, 0)] == MIRROR))
