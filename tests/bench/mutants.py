@@ -1,11 +1,12 @@
 """Small wrong changes of lib/light and lib/analysis, one at a time: do the tests that touch the line notice?
 
-    $ pip install coverage && python -m tests.bench.mutants OUT [mutants] [seed]
+    $ pip install coverage && python -m tests.bench.mutants OUT [mutants] [seed] [seconds]
 
 A seeded sample, stratified by module, of lines that some test runs in its own process (coverage says which): a
 comparison, an operator, a number, a sign or a condition is changed in a copy of the tree, and the tests that touch the
 line are run, the fastest first, until one fails. Compiled kernels (`*_kernels.py`) are left out: each would be
-compiled anew. OUT/mutants.jsonl has a line for each, and is gone on with; survivors are to be judged by a reader.
+compiled anew. OUT/mutants.jsonl has a line for each, and is gone on with where it was left, so that it can be made in
+pieces of some seconds; survivors are to be judged by a reader.
 """
 
 import ast
@@ -135,7 +136,8 @@ def judged(copy, mutant, tests, seconds):
         caught = {0: "survived", 1: "caught"}.get(run.returncode, f"caught ({run.returncode})")
     except subprocess.TimeoutExpired:
         caught = "caught (hangs)"
-    shutil.copyfile(ROOT / path, copy / path)
+    finally:  # also when interrupted: the next mutant stands alone
+        shutil.copyfile(ROOT / path, copy / path)
     source = (ROOT / path).read_text().splitlines()[line - 1].strip()
     return {
         "path": path,
@@ -150,12 +152,12 @@ def judged(copy, mutant, tests, seconds):
     }
 
 
-def main(out, count=200, seed=1):
-    out = Path(out)
+def main(out, count=200, seed=1, seconds=1e9):
+    out, until = Path(out), time.monotonic() + float(seconds)
     out.mkdir(parents=True, exist_ok=True)
     words = [p.replace("/", ".") for p in PACKAGES]
     tests = [p for p in sorted((ROOT / "tests").glob("test_*.py")) if any(w in p.read_text() for w in words)]
-    lines, seconds = touched(out, [str(t.relative_to(ROOT)) for t in tests])
+    lines, took = touched(out, [str(t.relative_to(ROOT)) for t in tests])
     copy = out / "tree"
     if not copy.exists():
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv*", "build"), symlinks=True)
@@ -165,7 +167,10 @@ def main(out, count=200, seed=1):
     for mutant in sample(lines, int(count), int(seed)):
         if (mutant[0], mutant[2], mutant[3]) in done:
             continue
-        rows.append(judged(copy, mutant, lines[mutant[0], mutant[2]], seconds))
+        if time.monotonic() > until:
+            print("to be gone on with")
+            return
+        rows.append(judged(copy, mutant, lines[mutant[0], mutant[2]], took))
         with open(path, "a") as file:
             file.write(json.dumps(rows[-1]) + "\n")
         print(rows[-1]["verdict"], *mutant, f"{rows[-1]['s']} s", flush=True)
