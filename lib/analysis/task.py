@@ -63,9 +63,7 @@ class Task:
         """What the files and options of stages/fit.py give. BadInput: one is missing, or they do not belong together"""
         factors, found = factors_file.read(opt.formfactors), gather.read(opt.gather)
         audit = gather.read(opt.audit) if opt.audit else None
-        held = None if audit is None else (len(audit.visible), audit.tiles.rows.columns)
-        if held not in (None, (len(factors.groups), len(factors.area))):
-            raise BadInput(f"{opt.audit}: groups, patches: {held[0]}, {held[1]} are not those of {opt.formfactors}")
+        _check_same(factors, opt.formfactors, {opt.gather: found, opt.audit: audit})
         transfer, curve = opt.transfer, None
         if isinstance(transfer, dict) and "curve" in transfer:
             if not opt.curve:
@@ -137,6 +135,20 @@ class Task:
         """Whether pixels and edges of the photograph can be looked at, and are worth it."""
         seen = self.view is not None and len(self.problem.tile_group) > 0
         return seen and not agreement.out_of_range(self.found)
+
+
+def _check_same(factors, formfactors, gathered):
+    """BadInput: light {path: Gathered or None} of other groups, patches or lamps than the factors have."""
+    groups, patches, lamps = len(factors.groups), len(factors.area), len(factors.lamps)
+    for path, found in gathered.items():
+        if found is None:
+            continue
+        held = len(found.visible), found.tiles.rows.columns
+        if held != (groups, patches):
+            raise BadInput(f"{path}: groups, patches: {held[0]}, {held[1]} are not those of {formfactors}")
+        if found.tiles.direct.shape[1] != lamps:
+            n, names = found.tiles.direct.shape[1], ", ".join(factors.lamps)
+            raise BadInput(f"{path}: tiles_direct: {n} lamps are not those of {formfactors}: {names}")
 
 
 def _view(opt, factors, curve):
