@@ -81,8 +81,7 @@ def photographs(linear, how, seeds):
 
 def under_noise(kind, seeds):
     """Rows (quantity, values, spread / noise sigma pooled, least, largest, share of means within 2 sigma)."""
-    from lib.analysis import facts, gather
-    from lib.analysis.gauss_newton import fit
+    from lib.analysis import explain, facts, gather
     from lib.buffers import trust
     from lib.given.view import View
 
@@ -107,7 +106,7 @@ def under_noise(kind, seeds):
     for shot in photographs(linear, how, seeds):
         seen = replace(found, pixels=shot.values.reshape(-1, shot.values.shape[2])[found.tiles.pixel])
         problem = facts.problem_of(made.factors, seen, lamps=lamps, reference=reference, transfer=None)
-        result, _ = fit(problem, max_iterations=100)
+        result = explain.explain(problem, explain.Leave(causes=()), gamma=2.2, max_iterations=100).result
         layout = result.at.layout
         names = [("rho", g, c) for g, c in layout.rho] + [("lamp", k, c) for k, c in layout.E] + [("gamma", 0, 0)]
         values.append(layout.pack(result.state))
