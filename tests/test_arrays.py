@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lib.analysis import gather
+from lib.analysis.task import Task
 from lib.core import arrays
 from lib.core.arrays import Flag, Real, Size, Starts, Text, Whole
 from lib.core.stage import BadInput
@@ -106,13 +107,26 @@ def test_no_array_may_be_other_than_it_must(folder, name, tmp_path):
     assert {key for key, _ in believed} <= FREE, believed
 
 
-def test_light_of_other_lamps_is_refused(folder, tmp_path):
-    """gather.npz of as many patches, but with a column for a lamp that formfactors.npz has not."""
+TOGETHER = {
+    "lamps": ("tiles_direct", lambda a: np.repeat(a, 2, axis=1), "2 lamps are not those of .*formfactors.npz: lamp$"),
+    "groups": ("visible", lambda a: a[:-1], None),
+    "facets": ("tiles_facet", lambda a: a + 99, r"value: \d+ is beyond the 7 facets of .*model.obj$"),
+    "objects": ("object", lambda a: a + 99, r"value: \d+ is beyond the 2 objects of .*model.obj$"),
+    "pixels": ("tiles_pixel", lambda a: a + 4800, r"value: \d+ is beyond the 4800 pixels of .*facet.png$"),
+}
+
+
+@pytest.mark.parametrize("what", TOGETHER)
+def test_light_of_another_scene_is_refused(folder, what, tmp_path):
+    """gather.npz that is sound by itself, and does not belong to the other files."""
+    key, change, message = TOGETHER[what]
     with np.load(folder / "gather.npz") as file:
         sound = dict(file)
-    np.savez(tmp_path / "gather.npz", **sound | {"tiles_direct": np.repeat(sound["tiles_direct"], 2, axis=1)})
-    words = {"gather": tmp_path / "gather.npz", "formfactors": folder / "formfactors.npz"}
+    np.savez(tmp_path / "gather.npz", **sound | {key: change(sound[key])})
+    files = {"formfactors": "formfactors.npz", "audit": "audit.npz", "model": "model.obj", "facet": "facet.png"}
+    files |= {"camera": "camera.cameramodel", "photograph": "left.png"}
+    words = {name: folder / file for name, file in files.items()} | {"gather": tmp_path / "gather.npz"}
     words |= {"lamps": json.dumps({"lamp": [1]}), "materials": tmp_path / "materials.json"}
-    stage = small_scenes.fit_stage()
-    with pytest.raises(BadInput, match=r"gather.npz: tiles_direct: 2 lamps are not those of .*formfactors.npz: lamp"):
-        stage.main(stage.options().parse_args([str(w) for k, v in words.items() for w in (f"--{k}", v)]))
+    options = small_scenes.fit_stage().options()
+    with pytest.raises(BadInput, match=rf"gather.npz: {key}: {message}" if message else "gather.npz: "):
+        Task.read(options.parse_args([str(w) for k, v in words.items() for w in (f"--{k}", v)])).view()

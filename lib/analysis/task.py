@@ -63,7 +63,6 @@ class Task:
         """What the files and options of stages/fit.py give. BadInput: one is missing, or they do not belong together"""
         factors, found = factors_file.read(opt.formfactors), gather.read(opt.gather)
         audit = gather.read(opt.audit) if opt.audit else None
-        _check_same(factors, opt.formfactors, {opt.gather: found, opt.audit: audit})
         transfer, curve = opt.transfer, None
         if isinstance(transfer, dict) and "curve" in transfer:
             if not opt.curve:
@@ -74,7 +73,9 @@ class Task:
             found, audit = (gather.under_one_curve(each, curve) for each in (found, audit))
             transfer = curve.common
         shown = opt.audit and opt.camera and opt.model and opt.photograph and opt.facet
-        view = functools.cache(lambda: _view(opt, factors, curve))
+        light = {opt.gather: found, opt.audit: audit}
+        _check_same(factors, opt.formfactors, light)
+        view = functools.cache(lambda: _view(opt, factors, curve, light))
         if shown:
             factors, found, audit = gather.with_outside(view, factors, found, audit)
         lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
@@ -151,8 +152,24 @@ def _check_same(factors, formfactors, gathered):
             raise BadInput(f"{path}: tiles_direct: {n} lamps are not those of {formfactors}: {names}")
 
 
-def _view(opt, factors, curve):
-    """The photograph with its camera and the model that the factors are of. curve : that scene.yaml tells, or None"""
+def _view(opt, factors, curve, light):
+    """The photograph with its camera and the model that the factors are of.
+
+    curve : that scene.yaml tells, or None;  light : {path: Gathered or None}
+    BadInput: the light is that of other facets, or of pixels beyond the photograph.
+    """
     view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph, facet=opt.facet)
     factors_file.check(factors, opt.formfactors, view.model, opt.model)
+    for path, found in light.items():
+        if found is not None:
+            facets, objects, pixels = view.model.n_facets, len(view.model.objects), view.facet.size
+            tiles = found.tiles
+            _check_below(f"{path}: tiles_facet", tiles.facet, facets, f"facets of {opt.model}")
+            _check_below(f"{path}: object", found.object, objects, f"objects of {opt.model}")
+            _check_below(f"{path}: tiles_pixel", tiles.pixel, pixels, f"pixels of {opt.facet}")
     return view if curve is None else view.under_one_curve(curve)
+
+
+def _check_below(where, values, size, of):
+    if values.max(initial=-1) >= size:
+        raise BadInput(f"{where}: value: {values.max()} is beyond the {size} {of}")

@@ -32,7 +32,7 @@ import scipy.spatial  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("lib/light", "lib/analysis")
-MOST_TESTS, ENOUGH_S, MOST_S = 25, 8, 90  # of one mutant: tests, s that they take when all is well, CPU s
+MOST_TESTS, ENOUGH_S, MOST_S = 25, 4, 90  # of one mutant: tests, s that they take when all is well, CPU s
 COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 COMPARED |= {ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In}
 REVERSED = {ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.GtE, ast.GtE: ast.LtE}
