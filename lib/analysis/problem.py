@@ -303,7 +303,20 @@ def _pixel_noise(pixels, start):
     inner[start[1:-1] - 1] = False
     if not inner.any():
         return 0.01
-    return max(1.4826 * float(np.median(np.abs(step[inner]))) / np.sqrt(2), LEAST_NOISE)
+    return max(1.4826 * _median_of_rounded(np.abs(step[inner]).ravel()) / np.sqrt(2), LEAST_NOISE)
+
+
+def _median_of_rounded(values):
+    """Median of values >= 0 (n,) that were rounded to levels: each stands for all that is nearer to it than to others.
+
+    Of noise of a level or two the plain median is a level itself: noise by it was .67 to 1.8 times what it is.
+    """
+    level, count = np.unique(np.round(values, 9), return_counts=True)
+    edges = np.concatenate([[0.0], (level[1:] + level[:-1]) / 2, level[-1:]])
+    up_to = np.cumsum(count)
+    k = int(np.searchsorted(up_to, len(values) / 2))
+    share = (len(values) / 2 - (up_to[k] - count[k])) / count[k]
+    return float(edges[k] + share * (edges[k + 1] - edges[k]))
 
 
 def _medians(pixels, start):

@@ -89,7 +89,7 @@ def one_facet(group, other):
 LAMP = "lamps: {lamp: [28, 26.88, 24.64]}\n"
 WRONG = {
     "nothing": lambda folder: None,
-    "wrong gamma (2.0 told)": told(LAMP + "transfer: {gamma: 2.0}\n"),
+    "wrong gamma (2.2 told for 2.0)": told(LAMP + "transfer: {gamma: 2.2}\n"),
     "doubled lamp": told("lamps: {lamp: [56, 53.76, 49.28]}\n"),
     "half radiance": half_radiance,
     "flipped normals, all": flipped("all"),
@@ -112,7 +112,7 @@ def run(name, folder):
     shutil.copytree(ROOT / "data" / SCENE, given)
     WRONG[name](given)
     with open(given / "scene.yaml", "a") as facts:
-        facts.write('goals: ["materials.json", "scorecard.csv"]\n')
+        facts.write('goals: ["materials.json", "rendered.exr", "scorecard.csv"]\n')
     words = ["make", f"DATA={folder}/data", f"BUILD={folder}/build", SCENE]
     made = subprocess.run(words, cwd=ROOT, env=clean(), capture_output=True, text=True)
     said = [line for line in made.stderr.splitlines() if "make" not in line.split(":")[0]]
