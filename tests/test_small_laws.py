@@ -12,19 +12,20 @@ from lib.analysis.candidates import Candidate
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Halves
 from lib.given import model
-from lib.light import chains, mirror_view, paths
+from lib.light import adapt, chains, lamps, mirror_view, paths, radiosity
 from lib.light import surface as surfaces
 from tests.helpers import rooms
 from tests.helpers.made_problems import COLOURS, made
 from tests.helpers.small_scenes import finish, rectangle, side_of, surface
+from tests.helpers.truths import CUBE
 
 
 def test_two_halves_err_by_half_their_difference():
     G0, G1 = (csr_array(np.array([[x]])) for x in (0.3, 0.1))
     E, b = np.array([[10.0]]), np.array([[2.0]])
     assert Halves(G0, G1, None, None).difference(E, b) == pytest.approx(0.2)
-    lamps = np.array([[0.05]]), np.array([[0.02]])
-    assert Halves(G0, G1, None, None, lamps).difference(E, b) == pytest.approx(0.2 + 0.15)
+    rays = np.array([[0.05]]), np.array([[0.02]])
+    assert Halves(G0, G1, None, None, rays).difference(E, b) == pytest.approx(0.2 + 0.15)
 
 
 def test_a_kept_surface_is_that_of_its_lamps(tmp_path):
@@ -111,3 +112,20 @@ def test_lenses_darken_edges_by_what_they_are_expected_to():
     ]
     assert expected == pytest.approx(vignetting.WIDE * np.sqrt(np.mean(np.square(lost))), rel=0.05)
     assert vignetting.sigma(np.eye(vignetting.TERMS)) == pytest.approx(np.linalg.norm(numbers, axis=0))
+
+
+def test_halved_cells_cover_what_the_cell_did(tmp_path):
+    """Each side's patches have its area, however often they were halved."""
+    s = rooms.surface(tmp_path / "model.obj", rooms.room() | rooms.LAMP)
+    mesh = adapt.build(s, patches=30, max_level=2, contrast=0.05, emitters=lamps.emitters(s, ["lamp"]))
+    sides = np.unique(mesh.side)
+    assert len(mesh) > 2 * len(rooms.patches(s, 30))
+    area = np.bincount(mesh.side, mesh.area)[sides]
+    assert area == pytest.approx(surfaces.facet_areas(s)[sides // 2], rel=1e-4)
+
+
+@pytest.mark.parametrize("loss", [1e-2, 1e-4, 1e-6])
+def test_a_furnace_is_solved_in_its_first_step(loss):
+    """Alike everywhere, E / (1 - rho): the first column of the Hessenberg matrix is as small as 1 - rho."""
+    found = radiosity.solve(np.ones(6), np.full(6, 1 - loss), CUBE, tolerance=1e-9)
+    np.testing.assert_allclose(found.B, 1 / loss, rtol=1e-6)
