@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from lib.analysis import gather, glow
+from lib.analysis import facts, gather, glow
 from lib.buffers import index_buffer
 from lib.given import image, materials, model
 from lib.given.view import View
@@ -101,6 +101,8 @@ def test_what_comes_in_is_unsure_where_it_arrives_and_nowhere_else(tmp_path):
         assert (np.abs(dD[:, column]) <= 10 * glow.BEYOND * lit.lamp_factor[:, column] + 1e-6).all()
         assert dD_tile[:, column].any() and abs(dD_tile[:, column].sum()) < 1e-6
         assert not np.delete(dD, column, axis=1).any()
+    told = facts.problem_of(lit, found, lamps={"lamp": [3.0]}, reference={}, transfer="linear")
+    assert told.emittance[:, 0].tolist() == [3.0, *[0.0] * 10]  # dark, until it is taken for a cause
 
 
 def test_a_file_without_a_glow_is_black_outside(tmp_path):
