@@ -5,11 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from lib.analysis import gather
-from lib.given import materials
+from lib.analysis import facts, gather, glow
+from lib.buffers import index_buffer
+from lib.given import image, materials, model
+from lib.given.view import View
 from lib.light import factors_file, form_factors, outside
 from lib.light.factors_file import OUTSIDE
 from tests.helpers import rooms
+from tests.helpers.boxes import look
 from tests.helpers.changed_scenes import deviated, obj
 
 
@@ -57,8 +60,8 @@ def test_where_rays_leave(tmp_path):
     rays = np.hstack([np.broadcast_to(middle, aims.shape), aims / np.linalg.norm(aims, axis=1, keepdims=True)])
     assert np.allclose(around.at(rays), aims / half, atol=0.02)
     assert abs(around.middle[0]) < 0.05 and around.middle[1] == pytest.approx(-1, abs=0.02)
-    glow = outside.Glow(around, np.array([[2.0], [1.0], *[[0.0]] * 8]))
-    assert glow.light(rays)[:, 0] == pytest.approx(2 + (aims / half)[:, 0] - around.middle[0], abs=0.02)
+    bright = outside.Glow(around, np.array([[2.0], [1.0], *[[0.0]] * 8]))
+    assert bright.light(rays)[:, 0] == pytest.approx(2 + (aims / half)[:, 0] - around.middle[0], abs=0.02)
     assert (outside.Glow(around, np.array([[0.0], [1.0], *[[0.0]] * 8])).light(rays) >= 0).all()
 
 
@@ -71,6 +74,35 @@ def test_both_halves_of_the_rays_tell_of_the_openings(tmp_path):
     assert outside.halves(factors, factors.lamp_factor, factors.rows) == ()
     kept = gather.with_outside(lambda: None, open_room(tmp_path, without=None)[1])
     assert len(kept) == 1
+
+
+def test_of_an_outside_counts_what_arrives_and_of_an_even_lamp_what_leaves(tmp_path):
+    s, factors = open_room(tmp_path)
+    lit = outside.with_outside(factors, lambda: s)
+    assert factors.uneven == [] and lit.uneven == list(range(1, 11))
+
+
+def test_what_comes_in_is_unsure_where_it_arrives_and_nowhere_else(tmp_path):
+    """What no polynomial tells of: its mean over the tiles is taken off, and it is a share of what arrives."""
+    s, factors = open_room(tmp_path)
+    lit = outside.with_outside(factors, lambda: s)
+    K = np.array([[30.0, 0, 19.5], [0, 30, 14.5], [0, 0, 1]])
+    camera = look((2, 0.2, 1.2), (2, 3, 1.0), K, 40, 30)
+    world = model.load(tmp_path / "model.obj")
+    facet = index_buffer.reference(world, camera).facet
+    shot = image.Photograph(np.full((30, 40, 1), 0.5), 8, False, 1)
+    view = View(camera, world, shot, facet)
+    found = gather.gathered(view, s, factors, facet >= 0, gather.Sampling(64, 256))
+    lit, found = gather.with_outside(lambda: view, factors, found)
+    column = lit.outside.first
+    changes = glow.unsure(view, lit, found)
+    assert len(changes)
+    for dD, dD_tile in changes:
+        assert (np.abs(dD[:, column]) <= 10 * glow.BEYOND * lit.lamp_factor[:, column] + 1e-6).all()
+        assert dD_tile[:, column].any() and abs(dD_tile[:, column].sum()) < 1e-6
+        assert not np.delete(dD, column, axis=1).any()
+    told = facts.problem_of(lit, found, lamps={"lamp": [3.0]}, reference={}, transfer="linear")
+    assert told.emittance[:, 0].tolist() == [3.0, *[0.0] * 10]  # dark, until it is taken for a cause
 
 
 def test_a_file_without_a_glow_is_black_outside(tmp_path):
@@ -96,8 +128,8 @@ def test_a_wall_behind_the_camera_is_not_missed(tmp_path, name, least):
     assert found["status"] == "converged" and [c["cause"] for c in found["explained"]] == ["glow"]
     assert off < 6
     cause = found["explained"][0]
-    glow, sigma = np.array(cause["values"]["radiosity"]), np.array(cause["sigma"]["radiosity"])
-    assert (glow > 0.02).all() and (sigma > 0).all() and (sigma < glow).all()
+    light, sigma = np.array(cause["values"]["radiosity"]), np.array(cause["sigma"]["radiosity"])
+    assert (light > 0.02).all() and (sigma > 0).all() and (sigma < light).all()
     assert json.loads((build / "rendered.json").read_text())["rmse"] < least
     truth = json.loads((tmp_path / "data" / name / "truth/materials.json").read_text())["groups"]
     for group in ("floor", "wall", "ceiling"):

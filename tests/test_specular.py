@@ -188,6 +188,18 @@ def test_rays_and_a_sharp_lobe_find_the_mirrored_lamp(how, options):
     )
 
 
+def test_elements_one_by_one_are_the_elements_together(monkeypatch):
+    """Rays are traced in chunks of elements; what each element gets is its own."""
+    s = under_a_mirror(8)
+    words = rooms.patches(s, 60), finish(s, mirror="mirror"), lamps_.emitters(s, ["lamp"]), FLOOR, side_of(s, "floor")
+    together, _ = elements(s, *words, 1 << 10, complete=0)
+    monkeypatch.setattr(specular, "chunks", lambda ray_start: ((k, k + 1) for k in range(len(ray_start) - 1)))
+    alone, _ = elements(s, *words, 1 << 10, complete=0)
+    assert len(FLOOR) > 1 and together.D[1].any()
+    assert all(np.allclose(alone.D[k], D) for k, D in together.D.items())
+    assert all(abs(alone.F[k] - F).sum() < 1e-6 for k, F in together.F.items())
+
+
 def test_mirrors_of_many_facets_leave_their_lamps_to_the_rays():
     """A curved mirror would make an image in each of its facets."""
     s = under_a_mirror(

@@ -14,10 +14,11 @@ import numpy as np
 
 from lib.buffers.edges import boundary
 from lib.buffers.trust import in_blocks
-from lib.core import artefact
+from lib.core import arrays, artefact
+from lib.core.arrays import Flag, Real, Starts, Whole
 from lib.given.transfer import Transfer
 from lib.given.view import View
-from lib.light import form_factors, lamps, outside
+from lib.light import factors_file, form_factors, lamps, outside
 from lib.light import surface as surfaces
 from lib.light.cells import Mesh
 from lib.light.factors_file import FormFactors
@@ -245,17 +246,42 @@ OF_GATHERED = [f.name for f in fields(Gathered) if f.name != "tiles"]
 def write(path, found: Gathered):
     """Whole or absent."""
     tiles = found.tiles
-    arrays = {f"rows_{name}": getattr(tiles.rows, name) for name in OF_ROWS}
-    arrays |= {f"tiles_{name}": getattr(tiles, name) for name in OF_TILES}
-    arrays |= {name: getattr(found, name) for name in OF_GATHERED}
-    artefact.write_npz(path, **arrays)
+    artefact.write_npz(
+        path,
+        **{f"rows_{name}": getattr(tiles.rows, name) for name in OF_ROWS},
+        **{f"tiles_{name}": getattr(tiles, name) for name in OF_TILES},
+        **{name: getattr(found, name) for name in OF_GATHERED},
+    )
+
+
+TILES = {
+    "facet": Whole("T"),
+    "start": Starts("T+1", into="M"),
+    "pixel": Whole("M"),
+    "direct": Real("T", "L", low=0),
+}
+OTHERS = {
+    "pixels": Real("M", "C"),
+    "group": Whole("T", below="G"),
+    "object": Whole("T"),
+    "visible": Whole("G"),
+    "linear": Flag(),
+    "channels_in_file": Whole(),
+    "block_noise": Real(low=0),
+    "edge_noise": Real("T", low=0),
+    "colour_noise": Real("C", low=0),
+    "noisy": Flag(),
+}
 
 
 def read(path) -> Gathered:
-    """BadInput: an array is missing."""
+    """BadInput: an array is missing, or cannot be what it is for."""
     a = artefact.read_npz(
         path, *(f"rows_{name}" for name in OF_ROWS), *(f"tiles_{name}" for name in OF_TILES), *OF_GATHERED
     )
+    sizes = arrays.check(path, a, TILES, prefix="tiles_")
+    arrays.check(path, a, factors_file.ROWS, {"R": sizes["T"]}, "rows_")
+    arrays.check(path, a, OTHERS, sizes)
     rows = {name: a[f"rows_{name}"] for name in OF_ROWS}
     rows["columns"] = int(rows["columns"])
     tiles = Tiles(**{name: a[f"tiles_{name}"] for name in OF_TILES}, rows=FormFactorRows(**rows))

@@ -66,9 +66,6 @@ class Task:
         """What the files and options of stages/fit.py give. BadInput: one is missing, or they do not belong together"""
         factors, found = factors_file.read(opt.formfactors), gather.read(opt.gather)
         audit = gather.read(opt.audit) if opt.audit else None
-        held = None if audit is None else (len(audit.visible), audit.tiles.rows.columns)
-        if held not in (None, (len(factors.groups), len(factors.area))):
-            raise BadInput(f"{opt.audit}: groups, patches: {held[0]}, {held[1]} are not those of {opt.formfactors}")
         transfer, curve = opt.transfer, None
         if isinstance(transfer, dict) and "curve" in transfer:
             if not opt.curve:
@@ -79,9 +76,11 @@ class Task:
             found, audit = (gather.under_one_curve(each, curve) for each in (found, audit))
             transfer = curve.common
         shown = opt.audit and opt.camera and opt.model and opt.photograph and opt.facet
+        light = {opt.gather: found, opt.audit: audit}
+        _check_same(factors, opt.formfactors, light)
         if opt.lobes and not shown:
             raise BadInput("--lobes: without --audit, --camera, --model, --photograph and --facet")
-        view = functools.cache(lambda: _view(opt, factors, curve)) if shown else None
+        view = functools.cache(lambda: _view(opt, factors, curve, light)) if shown else None
         around = lambda: cls._of(opt, transfer, curve, view, *gather.with_outside(view, factors, found, audit))
         task = cls._of(opt, transfer, curve, view, factors, found, audit)
         return replace(task, around=around) if shown else task
@@ -147,8 +146,38 @@ class Task:
         return seen and not agreement.out_of_range(self.found)
 
 
-def _view(opt, factors, curve):
-    """The photograph with its camera and the model that the factors are of. curve : that scene.yaml tells, or None"""
+def _check_same(factors, formfactors, gathered):
+    """BadInput: light {path: Gathered or None} of other groups, patches or lamps than the factors have."""
+    groups, patches, lamps = len(factors.groups), len(factors.area), len(factors.lamps)
+    for path, found in gathered.items():
+        if found is None:
+            continue
+        held = len(found.visible), found.tiles.rows.columns
+        if held != (groups, patches):
+            raise BadInput(f"{path}: groups, patches: {held[0]}, {held[1]} are not those of {formfactors}")
+        if found.tiles.direct.shape[1] != lamps:
+            n, names = found.tiles.direct.shape[1], ", ".join(factors.lamps)
+            raise BadInput(f"{path}: tiles_direct: {n} lamps are not those of {formfactors}: {names}")
+
+
+def _view(opt, factors, curve, light):
+    """The photograph with its camera and the model that the factors are of.
+
+    curve : that scene.yaml tells, or None;  light : {path: Gathered or None}
+    BadInput: the light is that of other facets, or of pixels beyond the photograph.
+    """
     view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph, facet=opt.facet)
     factors_file.check(factors, opt.formfactors, view.model, opt.model)
+    for path, found in light.items():
+        if found is not None:
+            facets, objects, pixels = view.model.n_facets, len(view.model.objects), view.facet.size
+            tiles = found.tiles
+            _check_below(f"{path}: tiles_facet", tiles.facet, facets, f"facets of {opt.model}")
+            _check_below(f"{path}: object", found.object, objects, f"objects of {opt.model}")
+            _check_below(f"{path}: tiles_pixel", tiles.pixel, pixels, f"pixels of {opt.facet}")
     return view if curve is None else view.under_one_curve(curve)
+
+
+def _check_below(where, values, size, of):
+    if values.max(initial=-1) >= size:
+        raise BadInput(f"{where}: value: {values.max()} is beyond the {size} {of}")

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lib.core import artefact
+from lib.core import arrays, artefact
+from lib.core.arrays import Real, Size, Starts, Text, Whole
 from lib.core.stage import BadInput
 from lib.light.balance import spectral_radius
 from lib.light.cells import Mesh
@@ -111,11 +112,10 @@ class FormFactors:
 
 def write(path, factors: FormFactors):
     """Whole or absent."""
-    arrays = {f"mesh_{f.name}": getattr(factors.mesh, f.name) for f in fields(Mesh)}
-    arrays |= {f"rows_{f.name}": getattr(factors.rows, f.name) for f in fields(FormFactorRows)}
     artefact.write_npz(
         path,
-        **arrays,
+        **{f"mesh_{f.name}": getattr(factors.mesh, f.name) for f in fields(Mesh)},
+        **{f"rows_{f.name}": getattr(factors.rows, f.name) for f in fields(FormFactorRows)},
         lamp_factor=factors.lamp_factor,
         lamps=np.array(factors.lamps, str),
         groups=np.array(factors.groups, str),
@@ -125,13 +125,50 @@ def write(path, factors: FormFactors):
     )
 
 
+ROWS = {
+    "columns": Size("N"),
+    "indptr": Starts("R+1", into="K"),
+    "indices": Whole("K", below="N"),
+    **dict.fromkeys(("count", "half"), Real("K", low=0)),
+    **dict.fromkeys(("valid", "valid_half", "shot", "lost"), Real("R", low=0)),
+}  # of R receivers, FormFactorRows
+MESH = {
+    "side": Whole("N", below="S"),
+    "table_start": Whole("S", low=-1),
+    "table_shape": Whole("S", 2, low=1),
+    "leaf": Whole("Q", low=-1, below="N"),
+    "area": Real("N", low=0),
+    "centre": Real("N", 3),
+    "tri_start": Starts("N+1", into="P"),
+    "tri_uv": Real("P", 3, 2),
+    "tri_cdf": Real("P", low=0),
+    "parent": Whole("N", below="N"),
+}
+OTHERS = {
+    "lamps": Text("L"),
+    "groups": Text("G"),
+    "lamp_factor": Real("N", "L"),
+    "patch_group": Whole("N", below="G"),
+    "group_area_m2": Real("G", low=0),
+    "diagonal_m": Real(low=0),
+}
+
+
+def _checked(path, a):
+    """BadInput: an array of another kind, shape or range than its use asks for."""
+    sizes = arrays.check(path, a, MESH, prefix="mesh_")
+    arrays.check(path, a, ROWS, {"N": sizes["N"], "R": sizes["N"]}, "rows_")
+    arrays.check(path, a, OTHERS, {"N": sizes["N"]})
+    start, cells = a["mesh_table_start"].astype(float), a["mesh_table_shape"].astype(float).prod(axis=1)
+    if (start + cells)[start >= 0].max(initial=0) > sizes["Q"]:
+        raise BadInput(f"{path}: mesh_table_shape: value: a side's cells end beyond mesh_leaf's {sizes['Q']}")
+
+
 def read(path, model=None, model_path=None) -> FormFactors:
-    """BadInput where an array is missing or holds a NaN, or where the factors are not those of the model."""
+    """BadInput: an array is missing or cannot be what it is for, or the factors are not those of the model."""
     names = [f"mesh_{f.name}" for f in fields(Mesh)] + [f"rows_{f.name}" for f in fields(FormFactorRows)]
-    a = artefact.read_npz(path, *names, "lamp_factor", "lamps", "groups", "patch_group", "group_area_m2", "diagonal_m")
-    for name, array in a.items():
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise BadInput(f"{path}: {name}: holds a value that is not finite")
+    a = artefact.read_npz(path, *names, *OTHERS)
+    _checked(path, a)
     rows = {f.name: a[f"rows_{f.name}"] for f in fields(FormFactorRows)}
     rows["columns"] = int(rows["columns"])
     factors = FormFactors(

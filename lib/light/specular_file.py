@@ -10,7 +10,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from lib.core import artefact
+from lib.core import arrays, artefact
+from lib.core.arrays import Array, Real, Starts, Whole
 from lib.core.stage import BadInput
 from lib.light.chains import Chains, Finish
 from lib.light.lamps import Emitter
@@ -40,21 +41,21 @@ FINISH, LAMP = ("kind", "alpha", "tangent"), ("corners", "normal", "cdf", "lobe"
 def write(path, traced: Traced):
     """Whole or absent."""
     t = traced.transport
-    arrays = {f"finish_{name}": np.asarray(getattr(t.finish, name)) for name in FINISH}
+    found = {f"finish_{name}": np.asarray(getattr(t.finish, name)) for name in FINISH}
     for k, F in t.F.items():
-        arrays |= {
+        found |= {
             f"F_{k}_data": F.data,
             f"F_{k}_indices": F.indices,
             f"F_{k}_indptr": F.indptr,
             f"F_{k}_shape": F.shape,
         }
-    arrays |= {f"D_{k}": D for k, D in t.D.items()}
+    found |= {f"D_{k}": D for k, D in t.D.items()}
     for k, lamp in enumerate(t.mirrored):
-        arrays |= {f"lamp_{k}_{name}": np.asarray(getattr(lamp, name)) for name in LAMP}
-    arrays |= {f"view_{f.name}": getattr(traced.view, f.name) for f in fields(MirrorView)}
+        found |= {f"lamp_{k}_{name}": np.asarray(getattr(lamp, name)) for name in LAMP}
+    found |= {f"view_{f.name}": getattr(traced.view, f.name) for f in fields(MirrorView)}
     artefact.write_npz(
         path,
-        **arrays,
+        **found,
         groups=np.array(t.finish.groups, int),
         form=t.finish.form,
         chains=t.chains.counts,
@@ -71,27 +72,73 @@ def write(path, traced: Traced):
     )
 
 
+ALWAYS = {
+    "groups": Whole("M"),
+    "finish_kind": Whole("M", low=None),
+    "finish_alpha": Real("M", 2, low=0),
+    "finish_tangent": Real("M", 3),
+    "form": Whole(),
+    "chains": Whole("C", "M"),
+    "F_chains": Whole("A", below="C"),
+    "D_chains": Whole("B", below="C"),
+    "D_mirrored": Real("N", "K"),
+    "lamps": Whole("K", below="L"),
+    "way": Whole("K", below="C"),
+    "complete": Whole(low=None),
+    "rays": Whole(),
+    "lost": Real(low=0),
+    "lobes": Real("L", 4),
+    "pixel": Whole("P"),
+}
+VIEW = {
+    "facet": Whole("P", low=-1),
+    "side": Whole("P", low=-1),
+    "p": Real("P", 3),
+    "chain": Whole("P", low=-1, below="C"),
+    "direction": Real("P", 3),
+}
+
+
+def _checked(path, a):
+    """Arrays that stand there only where there is such a chain or such a lamp.
+
+    BadInput: one is missing, or of another kind, shape or range than its use asks for.
+    """
+    sizes = arrays.check(path, a, ALWAYS)
+    arrays.check(path, a, VIEW, sizes, "view_")
+    parts = {f"F_{k}_": SPARSE for k in a["F_chains"]}
+    parts |= {f"lamp_{k}_": OF_LAMP for k in range(sizes["K"])}
+    parts |= {f"D_{k}": {"": Real("N", "L")} for k in a["D_chains"]}
+    missing = [prefix + name for prefix, table in parts.items() for name in table if prefix + name not in a]
+    if missing:
+        raise BadInput(*(f"{path}: {name}: the array is missing" for name in missing))
+    for prefix, table in parts.items():
+        arrays.check(path, a, table, {"N": sizes["N"], "L": sizes["L"]}, prefix)
+        if table is SPARSE and a[f"{prefix}shape"].tolist() != [sizes["N"]] * 2:
+            raise BadInput(f"{path}: {prefix}shape: value: {a[f'{prefix}shape'].tolist()} is not {[sizes['N']] * 2}")
+
+
+SPARSE = {
+    "shape": Whole(2),
+    "indptr": Starts("N+1", into="E"),
+    "indices": Whole("E", below="N"),
+    "data": Real("E"),
+}
+OF_LAMP = {
+    "corners": Real("T", 3, 3),
+    "normal": Real("T", 3),
+    "cdf": Real("T", low=0),
+    "lobe": Real(4),
+    "mirrors": Array("iuf", "whole numbers", ("D",), 0),  # an empty one has no kind of its own
+}
+
+
 def read(path) -> Traced:
-    """BadInput: an array is missing, or holds a value that is not finite."""
+    """BadInput: an array is missing, or cannot be what it is for."""
     from scipy.sparse import csr_array
 
-    always = (
-        "groups",
-        "form",
-        "chains",
-        "F_chains",
-        "D_chains",
-        "lamps",
-        "way",
-        "D_mirrored",
-        "complete",
-        "rays",
-        "lost",
-    )
-    a = artefact.read_npz(path, *always, "pixel", "lobes", *(f"view_{f.name}" for f in fields(MirrorView)))
-    for name, array in a.items():
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise BadInput(f"{path}: {name}: holds a value that is not finite")
+    a = artefact.read_npz(path, *ALWAYS, *(f"view_{name}" for name in VIEW))
+    _checked(path, a)
     finish = Finish(tuple(map(int, a["groups"])), *(a[f"finish_{name}"] for name in FINISH), form=int(a["form"]))
     F = {
         int(k): csr_array((a[f"F_{k}_data"], a[f"F_{k}_indices"], a[f"F_{k}_indptr"]), shape=tuple(a[f"F_{k}_shape"]))

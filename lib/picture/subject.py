@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lib.core import artefact
-from lib.core.stage import BadInput
+from lib.core import arrays, artefact
+from lib.core.arrays import Starts, Whole
 from lib.given.falloff import Lens
 from lib.given.transfer import Transfer, display_of_linear
 from lib.given.transfer_kinds import OF_LIGHT
@@ -114,6 +114,14 @@ class Subject:
         return np.repeat(values, self.view.photograph.channels_in_file // values.shape[2], axis=2)
 
 
+COVERAGE = {
+    "pixel": Whole("P", below="pixels"),
+    "start": Starts("P+1", into="S"),
+    "facet": Whole("S", below="facets"),
+    "count": Whole("S"),
+}
+
+
 def read(*, model, camera, photograph, facet, formfactors, materials, coverage, specular=None) -> Subject:
     """All files of a rendering, each checked against the others; BadInput names what does not fit.
 
@@ -123,11 +131,8 @@ def read(*, model, camera, photograph, facet, formfactors, materials, coverage, 
     factors = factors_file.read(formfactors, view.model, model)
     surface = surfaces.surface(view.model, factors.lamps)
     factors = outside.with_outside(factors, lambda: surface)
-    pieces = artefact.read_npz(coverage, "pixel", "start", "facet", "count")
-    if pieces["pixel"].max(initial=-1) >= view.facet.size or pieces["facet"].max(initial=-1) >= view.model.n_facets:
-        raise BadInput(
-            f"{coverage}: pixel, facet: beyond the picture or the model's {view.model.n_facets} facets ({model})"
-        )
+    pieces = artefact.read_npz(coverage, *COVERAGE)
+    arrays.check(coverage, pieces, COVERAGE, {"pixels": view.facet.size, "facets": view.model.n_facets})
     channels = view.photograph.values.shape[2]
     look, found, warnings = appearance.read(materials, factors.groups, factors.lamps, channels, view.model.n_facets)
     factors = throws.in_lobes(factors, surface, found.lobes)

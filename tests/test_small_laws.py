@@ -1,0 +1,131 @@
+"""Laws of one line each, by hand: what code mutants (tests/bench/mutants.py) had survived elsewhere."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from lib.analysis import candidates, evidence, vignetting
+from lib.analysis.candidates import Candidate
+from lib.analysis.gauss_newton import gauss_newton
+from lib.analysis.problem import Halves
+from lib.given import model
+from lib.light import adapt, chains, lamps, mirror_view, paths, radiosity
+from lib.light import surface as surfaces
+from tests.helpers import rooms
+from tests.helpers.made_problems import COLOURS, made
+from tests.helpers.small_scenes import finish, rectangle, side_of, surface
+from tests.helpers.truths import CUBE
+
+
+def test_two_halves_err_by_half_their_difference():
+    G0, G1 = (csr_array(np.array([[x]])) for x in (0.3, 0.1))
+    E, b = np.array([[10.0]]), np.array([[2.0]])
+    assert Halves(G0, G1, None, None).difference(E, b) == pytest.approx(0.2)
+    rays = np.array([[0.05]]), np.array([[0.02]])
+    assert Halves(G0, G1, None, None, rays).difference(E, b) == pytest.approx(0.2 + 0.15)
+
+
+def test_a_kept_surface_is_that_of_its_lamps(tmp_path):
+    """A lamp has no light from behind: taken for another group, it would have two sides."""
+    world = model.load(rooms.write(tmp_path / "model.obj", rooms.room() | rooms.LAMP))
+    lit, dark = surfaces.surface(world, ["lamp"]), surfaces.surface(world, [])
+    assert lit is not dark
+    assert surfaces.surface(world, ["lamp"]) is lit and surfaces.surface(world, []) is dark
+
+
+def test_a_likelihood_is_a_density():
+    """Its integral over the residual is 1, whatever the width."""
+    r = np.linspace(-60, 60, 240_001)[:, None]
+    found = evidence.likelihood(r, np.full(r.shape, 0.3))
+    assert np.exp(found.each).sum() * (r[1, 0] - r[0, 0]) == pytest.approx(1, abs=0.01)
+
+
+def test_more_numbers_must_bring_more():
+    """As many more as they are; of as many numbers, what a cause usually has."""
+    problem = SimpleNamespace(tile_group=np.zeros(500))
+    simple = SimpleNamespace(complexity=3, evidence=SimpleNamespace(nats=0.0), problem=problem)
+    for complexity, more in ((3, candidates.USUAL), (2, candidates.USUAL), (5, 2)):
+        least = candidates.enough(problem, more)
+        for nats, worth in ((least - 0.1, False), (least + 0.1, True)):
+            other = SimpleNamespace(complexity=complexity, evidence=SimpleNamespace(nats=nats), problem=problem)
+            assert Candidate.is_worth(other, simple) is worth
+
+
+def test_both_sides_of_what_is_seen_at_once():
+    """From above the front of a floor, from below its back, an odd number."""
+    s = surface(
+        [("floor", rectangle((-1, -1, 0), (2, 0, 0), (0, 2, 0))), ("mirror", rectangle((9, 0, 0), *np.eye(3)[1:]))]
+    )
+    rays = [[*s.local.points([[0.3, 0.2, z]])[0], 0, 0, -z] for z in (1.0, -1.0)]
+    view = mirror_view.through_mirrors(s, finish(s, mirror="mirror"), chains.Chains(1), np.array(rays, np.float32))
+    floor = side_of(s, "floor")
+    assert view.facet.tolist() == [floor // 2] * 2 and view.side.tolist() == [floor, side_of(s, "floor", back=True)]
+
+
+@pytest.mark.parametrize("first", ["left", "right"])
+def test_what_runs_out_between_mirrors_is_left(first):
+    """A ray for ever between two mirrors is on one of them when the count runs out, be it the first polygon or not."""
+    walls = {"left": rectangle((0, 0, 0), (0, 2, 0), (0, 0, 2)), "right": rectangle((1, 0, 0), (0, 0, 2), (0, 2, 0))}
+    s = surface([(name, walls[name]) for name in sorted(walls, reverse=first == "right")])
+    rays = np.hstack([s.local.points([[0.5, 0.7, 0.9]]), [[1.0, 0, 0]]]).astype(np.float32)
+    for depth in (4, 5):
+        left = []
+        both = finish(s, left="mirror", right="mirror")
+        met = paths.first_met(rays, *s.caster.closest(rays))
+        assert len(list(paths.follow(s, both, chains.Chains(2), met, depth=depth, left=left))) == depth
+        assert [(source.tolist(), weight.tolist()) for source, weight in left] == [([0], [1.0])]
+
+
+def test_where_a_lamp_stands_is_as_unsure_as_the_light_that_it_moves():
+    """The share of a doubt is what the reflectances move by if the patches' light is really another."""
+    problem, rho, _ = made(COLOURS, E=(4.0,), transfer="linear")
+    move = 0.03 * problem.D
+    problem.unsure = ((move, np.zeros_like(problem.D_tile)),)
+    doubted = gauss_newton(problem)
+    problem.D, problem.unsure = problem.D + move, ()
+    moved = gauss_newton(problem)
+    off = np.abs(moved.state.rho - rho)[1:] / rho[1:]
+    assert doubted.shares["place 0"] == pytest.approx(np.median(off), rel=0.2)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("noise", [0.002, 0.003, 0.005, 0.006, 0.01, 0.03])
+def test_the_noise_of_a_photograph_is_what_was_put_in(noise, bits):
+    """And what rounding adds to it, on a slope; a plain median of 8 bits is .67 to 1.8 times that."""
+    random, depth = np.random.default_rng(1), 2**bits - 1
+    shown = np.linspace(0.4, 0.45, 20_000)[:, None] + noise * random.standard_normal((20_000, 3))
+    problem, *_ = made(COLOURS)
+    start = np.linspace(0, 20_000, len(problem.tile_group) + 1).astype(int)
+    seen = replace(problem, pixels=np.round(shown * depth) / depth, start=start)
+    assert seen.pixel_noise == pytest.approx(np.hypot(noise, 1 / depth / np.sqrt(12)), rel=0.08)
+
+
+def test_lenses_darken_edges_by_what_they_are_expected_to():
+    """The spread of light lost at the corner before anything is seen: over (1 + t)^-m (1 - cut) of usual lenses."""
+    numbers = np.array([vignetting.change(unit) for unit in np.eye(vignetting.TERMS)])
+    expected = np.linalg.norm(numbers.sum(axis=1))
+    lost = [
+        1 - (1 + t) ** -m * (1 - cut) for t in (0.1, 0.3, 0.5, 0.7, 0.9) for m in (1, 1.5, 2) for cut in (0, 0.2, 0.4)
+    ]
+    assert expected == pytest.approx(vignetting.WIDE * np.sqrt(np.mean(np.square(lost))), rel=0.05)
+    assert vignetting.sigma(np.eye(vignetting.TERMS)) == pytest.approx(np.linalg.norm(numbers, axis=0))
+
+
+def test_halved_cells_cover_what_the_cell_did(tmp_path):
+    """Each side's patches have its area, however often they were halved."""
+    s = rooms.surface(tmp_path / "model.obj", rooms.room() | rooms.LAMP)
+    mesh = adapt.build(s, patches=30, max_level=2, contrast=0.05, emitters=lamps.emitters(s, ["lamp"]))
+    sides = np.unique(mesh.side)
+    assert len(mesh) > 2 * len(rooms.patches(s, 30))
+    area = np.bincount(mesh.side, mesh.area)[sides]
+    assert area == pytest.approx(surfaces.facet_areas(s)[sides // 2], rel=1e-4)
+
+
+@pytest.mark.parametrize("loss", [1e-2, 1e-4, 1e-6])
+def test_a_furnace_is_solved_in_its_first_step(loss):
+    """Alike everywhere, E / (1 - rho): the first column of the Hessenberg matrix is as small as 1 - rho."""
+    found = radiosity.solve(np.ones(6), np.full(6, 1 - loss), CUBE, tolerance=1e-9)
+    np.testing.assert_allclose(found.B, 1 / loss, rtol=1e-6)
