@@ -288,10 +288,10 @@ def normal_equations(J, residual, weight=1.0):
     )
 
 
-@pytest.mark.parametrize(("left", "unknown"), [(1e-5, 1.0), (1e-3, 0.5**0.5), (1e-2, 0.0)])
+@pytest.mark.parametrize(("left", "unknown"), [(1e-5, 0.5**0.5), (1e-3, 0.5), (1e-2, 0.0)])
 def test_what_changes_no_tile_tells_nothing(left, unknown):
-    """A function that another resembles to less than light is known to (1e-3) may be that one, however surely the
-    residuals speak; ten times further apart they alone count."""
+    """A function that another resembles to less than light is known to (1e-3) may be that one as likely as not, however
+    surely the residuals speak; ten times further apart they alone count."""
     rng = np.random.default_rng(3)
     J, x, across = rng.normal(size=(4000, 3)), np.array([0.3, -0.2, 0.1]), rng.normal(size=4000)
     across -= J @ np.linalg.lstsq(J, across, rcond=None)[0]

@@ -26,7 +26,9 @@ from lib.analysis.problem import Problem, Result
 from lib.analysis.task import Task
 from lib.core.report import Report
 
-MIXES = 0.4  # of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
+MIXES = (
+    0.4  # of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
+)
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
 
 

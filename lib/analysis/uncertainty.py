@@ -23,7 +23,8 @@ RESPONSE = "response"  # name of the doubt about the transfer function
 # Display, rms: light is not known to less. Curves of cameras change tiles by .0016 and more in 30 rooms; one that bent
 # to the light between shelves in a white room did by .0006, and brought 90 nats and reflectances 3 % off.
 RESOLVED = 0.001
-STEEP = 4  # how fast it is known beyond that: at 1.5 times to .2 of what it may be, at 2.5 to .025
+EITHER = 0.5  # mean square of a number that is 0 or 1, as likely as not
+STEEP = 4  # how fast it is known beyond that: at 1.5 times to .2 of that, at 2.5 to .025
 NEAR = 0.05  # display: functions that differ by more are told apart, 480 nats and more in white rooms, 40 where by less
 LEAST = 0.02  # smaller values are as unsure as this one, relative to it
 
@@ -126,7 +127,7 @@ class _Normal:
         number = np.linalg.solve(known, weighted.T @ self.at.residual.reshape(-1))
         size = np.linalg.inv(known) + np.outer(number, number)
         if resolved:
-            unknown = terms.spread**2 / (1 + ((left**2).mean(axis=0) / resolved**2) ** STEEP)
+            unknown = EITHER * terms.spread**2 / (1 + ((left**2).mean(axis=0) / resolved**2) ** STEEP)
             size = size + np.diag(np.maximum(unknown - np.diag(size), 0))
         return along @ size @ along.T
 
