@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lib.analysis import gather
 from lib.buffers import opengl
 from lib.given import model
 from lib.light import adapt, exact_factors, form_factors, hemicube, radiosity, surface
@@ -680,21 +681,47 @@ GAPS = {
 }
 
 
+def _with_solids(folder, solids):
+    """(Surface, FormFactors) of a room with a lamp and solids, and 600 patches or so."""
+    objects = {**rooms.room(), **rooms.LAMP}
+    for name, corners in solids.items():
+        objects |= rooms.solid(name, *corners)
+    s = rooms.surface(folder / "m.obj", objects)
+    mesh = adapt.build(s, patches=600, max_level=3, contrast=0.05, emitters=lamps_.emitters(s, ["lamp"]))
+    rows = form_factors.rays(s, mesh, n_rays=256)
+    n = len(mesh)
+    of_patch = s.group[mesh.side // 2]
+    return s, FormFactors(mesh, rows, np.zeros((n, 1)), ("lamp",), of_patch, s.groups, np.ones(7), 1.0)
+
+
 @pytest.mark.scene
 @pytest.mark.parametrize("solids", [*GAPS.values(), SHELVES], ids=[*GAPS, "shelves 20 mm apart"])
 def test_the_corrected_balance_is_never_expansive(tmp_path, solids):
     """Uncorrected, no eigenvalue of F exceeds its largest row sum. Corrected everywhere, they reached 1.16 here."""
     from scipy.sparse.linalg import eigs
 
-    objects = {**rooms.room(), **rooms.LAMP}
-    for name, corners in solids.items():
-        objects |= rooms.solid(name, *corners)
-    s = rooms.surface(tmp_path / "m.obj", objects)
-    mesh = adapt.build(s, patches=600, max_level=3, contrast=0.05, emitters=lamps_.emitters(s, ["lamp"]))
-    rows = form_factors.rays(s, mesh, n_rays=256)
-    n = len(mesh)
-    factors = FormFactors(mesh, rows, np.zeros((n, 1)), ("lamp",), s.group[mesh.side // 2], s.groups, np.ones(7), 1.0)
+    _, factors = _with_solids(tmp_path, solids)
+    rows = factors.rows
     F = rows.matrix().astype(float)
     largest = lambda A: np.abs(eigs(A, k=1, tol=1e-6, maxiter=20000, return_eigenvectors=False)).max()
     assert largest(F @ factors.subcell.astype(float)) <= F.sum(axis=1).max() + 1e-5
     assert 0 < factors.beside_gaps().mean() < 0.2
+
+
+@pytest.mark.scene
+def test_tiles_in_a_narrow_gap_are_left_out(tmp_path):
+    """Their light comes from patches whose bright and dark end they cannot tell: it was wrong by half."""
+    s, factors = _with_solids(tmp_path, SHELVES)
+    facet, centre = factors.mesh.side // 2, s.local.centre + s.local.diagonal * factors.mesh.centre
+    n = len(facet)
+    tiles = gather.Tiles(facet.astype(np.int32), np.arange(n + 1), np.arange(n), np.zeros((n, 1)), factors.rows)
+    hidden = gather.in_gaps(tiles, factors)
+    z = centre[:, 2] - 0.8
+    level = np.char.startswith(np.array(s.groups)[s.group[facet]], "shelf") & (np.abs(s.normal[facet, 2]) > 0.9)
+    inside = level & (z > 0.015) & (z < 0.205) & (np.abs(centre[:, 0] - 0.2) < 0.15)
+    assert inside.sum() >= 10 and hidden[inside].all()
+    below_the_lamp = z < 1  # which leaves a gap below the ceiling
+    assert not hidden[(z < -0.1) | below_the_lamp & ((z > 0.4) | (centre[:, 0] > 0.45))].any()
+    kept = tiles.take(np.flatnonzero(~hidden))
+    assert len(kept) == n - hidden.sum() and np.array_equal(kept.pixel, np.flatnonzero(~hidden))
+    assert (kept.rows.matrix() != tiles.rows.matrix()[~hidden]).nnz == 0

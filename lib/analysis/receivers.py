@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.analysis.gather import Gathered
-from lib.light.form_factors import FormFactorRows
+from lib.light.form_factors import FormFactorRows, elements
 from lib.light.surface import Surface, backproject
 
 PER_TILE = ("facet", "group", "object", "chain", "direct", "lobe", "fit")
@@ -50,12 +50,12 @@ class Receivers:
     def take(self, which) -> Receivers:
         """The tiles numbered `which`."""
         n = self.n_pixels[which]
-        at = _elements(self.start, which)
+        at = elements(self.start, which)
         return Receivers(
             **{name: getattr(self, name)[which] for name in PER_TILE},
             **{name: getattr(self, name)[at] for name in PER_PIXEL},
             start=np.concatenate([[0], np.cumsum(n)]),
-            rows=_rows_of(self.rows, which),
+            rows=self.rows.take(which),
         )
 
     @staticmethod
@@ -89,27 +89,6 @@ class Ways(NamedTuple):
 
 def _starts(counts):
     return np.concatenate([[0], np.cumsum(np.concatenate(list(counts)))])
-
-
-def _elements(start, which):
-    """Indices of the elements of the sets numbered `which`."""
-    n = np.diff(start)[which]
-    return np.repeat(start[which] - np.concatenate([[0], np.cumsum(n)[:-1]]), n) + np.arange(int(n.sum()))
-
-
-def _rows_of(rows: FormFactorRows, which):
-    at = _elements(rows.indptr, which)
-    return FormFactorRows(
-        np.concatenate([[0], np.cumsum(np.diff(rows.indptr)[which])]),
-        rows.indices[at],
-        rows.count[at],
-        rows.half[at],
-        rows.valid[which],
-        rows.valid_half[which],
-        rows.shot[which],
-        rows.lost[which],
-        rows.columns,
-    )
 
 
 def directions(camera, pixel):

@@ -75,10 +75,31 @@ class FormFactorRows:
         np.add.at(total, np.repeat(np.arange(len(self.valid)), np.diff(self.indptr)), self.count)
         return total / np.maximum(self.valid, 1)
 
+    def take(self, which) -> FormFactorRows:
+        """The rows numbered `which`."""
+        at = elements(self.indptr, which)
+        return FormFactorRows(
+            np.concatenate([[0], np.cumsum(np.diff(self.indptr)[which])]),
+            self.indices[at],
+            self.count[at],
+            self.half[at],
+            self.valid[which],
+            self.valid_half[which],
+            self.shot[which],
+            self.lost[which],
+            self.columns,
+        )
+
     @property
     def exposed(self):
         """(M,) share of the patch that lies outside solids."""
         return self.valid / np.maximum(self.shot, 1)
+
+
+def elements(start, which):
+    """Indices of the elements of the sets numbered `which`.  start : (n + 1,), where each set begins"""
+    n = np.diff(start)[which]
+    return np.repeat(start[which] - np.concatenate([[0], np.cumsum(n)[:-1]]), n) + np.arange(int(n.sum()))
 
 
 def trace(surface: Surface, mesh: Mesh, rays):
