@@ -480,3 +480,13 @@ def test_a_linear_photograph_is_changed_as_it_is(scene, tmp_path):
     assert (made(files).linear == stored).all()
     brighter = made(files, lamps={"lamp": [18, 18, 18]})
     assert np.median(np.abs(brighter.linear - stored - rendered(scene))) < 0.01 and brighter.bits == 8
+
+
+def test_shares_are_no_wider_than_the_model(scene):
+    """Columns are picked of them, which takes memory for every column."""
+    subject = subjects.read(**scene)
+    n = subject.view.model.n_facets
+    shares = differential.shares(subject, n)
+    assert shares.shape == (84 * 112, n + 1) and np.allclose(shares.sum(axis=1), 1)
+    pure, facet = subject.pure.reshape(-1), subject.facet.reshape(-1)
+    assert (shares[np.flatnonzero(pure), facet[pure]] == 1).all()

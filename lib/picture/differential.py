@@ -283,7 +283,8 @@ def _only(pieces, which):
 
 def new_share(recovered: Subject, changed: Subject):
     """(H, W) share of each pixel that shows another facet than before, or one of another finish or texture."""
-    before, after = (shares(s) for s in (recovered, changed))
+    n = max(s.view.model.n_facets for s in (recovered, changed))
+    before, after = (shares(s, n) for s in (recovered, changed))
     both = before.minimum(after)
     other = np.flatnonzero(_looks_other(recovered, changed))
     new = 1 - np.asarray(both.sum(axis=1)).ravel() + np.asarray(both[:, other].sum(axis=1)).ravel()
@@ -302,7 +303,7 @@ def _other_lamps(recovered: Subject, changed: Subject):
     other = np.flatnonzero((before != after).any(axis=1))
     if not len(other):
         return np.zeros(recovered.facet.shape, bool)
-    some = (shares(recovered)[:, other].sum(axis=1) > 0).reshape(recovered.facet.shape)
+    some = (shares(recovered, recovered.view.model.n_facets)[:, other].sum(axis=1) > 0).reshape(recovered.facet.shape)
     return binary_dilation(some, np.ones((3, 3)))
 
 
@@ -316,8 +317,11 @@ def _emitted(subject: Subject, n):
     return out
 
 
-def shares(subject: Subject):
-    """(H W, F + 1) sparse: the share of each pixel that shows each facet, the last nothing."""
+def shares(subject: Subject, last):
+    """(H W, last + 1) sparse: the share of each pixel that shows each facet; the column `last`: nothing.
+
+    No wider than it must be: to pick some columns costs memory for all of them.
+    """
     from scipy.sparse import csr_array
 
     pieces, facet = subject.coverage, subject.facet.reshape(-1)
@@ -325,7 +329,6 @@ def shares(subject: Subject):
     number = np.diff(pieces["start"])
     pure = np.ones(len(facet), bool)
     pure[pixel] = False
-    last = 1 << 30
     count = np.asarray(pieces["count"], float) / 64
     covered = np.bincount(np.repeat(np.arange(len(pixel)), number), count, len(pixel))
     rows = np.concatenate([np.flatnonzero(pure), np.repeat(pixel, number), pixel])
