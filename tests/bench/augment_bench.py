@@ -132,8 +132,9 @@ def kept(values, photograph, true, change, noise, gamma):
     ours = np.abs(values - np.rint(255 * photograph)).max(axis=2)[told]
     left = (values == np.rint(255 * photograph)).all(axis=2)
     missed = ((apart - 3 * slope * noise) / STEP).max(axis=2)[left]
-    row = {"told": told.mean(), "identical": (ours == 0).mean() if len(ours) else np.nan, "elsewhere": ours.max(initial=0)}
-    return {key: float(value) for key, value in (row | {"missed": missed.max(initial=0)}).items()}
+    row = {"told": told.mean(), "identical": (ours == 0).mean() if len(ours) else np.nan}
+    row |= {"elsewhere": ours.max(initial=0), "missed": missed.max(initial=0)}
+    return {key: float(value) for key, value in row.items()}
 
 
 def reinserted(scene, objects, out, build):
