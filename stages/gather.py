@@ -54,6 +54,12 @@ def main(opt):
             found = gather.gathered(view, surface, factors, view.trusted, sampling)
         tiles = found.tiles
         report["tiles"], report["pixels"], report["rays"] = len(tiles), len(tiles.pixel), int(tiles.rows.shot.sum())
+        report["in_gaps"] = int(gather.usable(view, surface, factors, view.trusted).sum()) - len(tiles.pixel)
+        if report["in_gaps"]:
+            report.warning(
+                f"{report['in_gaps']} trusted pixels lie in a gap narrower than its patches and are left out: how light"
+                " fades in there is not known"
+            )
         if len(tiles) == 0:
             report.status = "nothing seen"
             report.warning(f"{opt.trusted}: no trusted pixel shows the model: nothing can be fitted")

@@ -705,7 +705,7 @@ def test_the_corrected_balance_is_never_expansive(tmp_path, solids):
     F = rows.matrix().astype(float)
     largest = lambda A: np.abs(eigs(A, k=1, tol=1e-6, maxiter=20000, return_eigenvectors=False)).max()
     assert largest(F @ factors.subcell.astype(float)) <= F.sum(axis=1).max() + 1e-5
-    assert 0 < factors.beside_gaps().mean() < 0.2
+    assert 0 < factors.beside_gaps.mean() < 0.2
 
 
 @pytest.mark.scene

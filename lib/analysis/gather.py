@@ -183,10 +183,15 @@ class Gathered:
     noisy: bool
 
 
-def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling: Sampling) -> Gathered:
-    """Tiles of a photograph's used pixels (H, W), but for those that show a lamp: what they show is its emittance, and
-    those that lie in a gap narrower than its patches: how light fades in there no patch knows."""
+def usable(view: View, surface: Surface, factors: FormFactors, used):
+    """(H, W) bool: used pixels that show the model, but for its lamps: what those show is their emittance."""
     lamp = np.isin(surface.group, [factors.groups.index(name) for name in factors.lamps])
+    return used & (view.facet >= 0) & ~lamp[view.facet]
+
+
+def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling: Sampling) -> Gathered:
+    """Tiles of a photograph's usable pixels, used (H, W), but for those that lie in a gap narrower than its patches:
+    how light fades in there no patch knows."""
     shown = view.facet >= 0
     emitters = lamps.emitters(surface, factors.lamps)
     tiles = build(
@@ -194,7 +199,7 @@ def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling:
         factors.mesh,
         view.camera,
         view.facet,
-        used & shown & ~lamp[view.facet],
+        usable(view, surface, factors, used),
         emitters,
         len(factors.lamps),
         sampling,
@@ -218,7 +223,7 @@ def gathered(view: View, surface: Surface, factors: FormFactors, used, sampling:
 
 def in_gaps(tiles: Tiles, factors: FormFactors) -> np.ndarray:
     """(T,) bool: much of the tile's light comes from patches that face others nearer than they are large."""
-    return tiles.rows.matrix() @ factors.beside_gaps().astype(np.float32) > IN_GAP
+    return tiles.rows.matrix() @ factors.beside_gaps.astype(np.float32) > IN_GAP
 
 
 def under_one_curve(found: Gathered | None, transfer: Transfer) -> Gathered | None:

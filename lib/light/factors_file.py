@@ -19,6 +19,7 @@ from lib.light.lamps import LAMBERTIAN
 SHARE = 1 / 3  # of what the step to the next coarser cell would lose that is lost inside a cell
 # names among lamps of what lies around an open model, by powers of three axes (lib/light/outside.py): no groups'
 OUTSIDE = ("", " x", " y", " z", " xx", " yy", " zz", " xy", " yz", " zx")
+NEAR = 0.4  # of their light that patches exchange across a gap narrower than they are, at least
 CONTRACTS = 1e-3  # a spectral radius may exceed the largest row sum by so much: single precision, and the search
 
 
@@ -76,7 +77,7 @@ class FormFactors:
         It must not make the light balance expansive: where it does, patches `beside_gaps` are left as they are.
         """
         everywhere = self._subcell(np.full(len(self.area), SHARE))
-        gaps = self.beside_gaps()
+        gaps = self.beside_gaps
         F = self.rows.matrix()
         if not gaps.any() or spectral_radius(F @ everywhere) <= F.sum(axis=1).max() + CONTRACTS:
             return everywhere
@@ -93,17 +94,18 @@ class FormFactors:
         mean = siblings @ (siblings.T @ weight)
         return (diags_array(1 + share) - diags_array(share) @ mean).astype(np.float32).tocsr()
 
-    def beside_gaps(self, limit=0.4):
+    @cached_property
+    def beside_gaps(self):
         """(N,) bool: the patch, or a sibling of it, shares a gap with another that is narrower than they are.
 
-        Two patches as near as that exchange more than `limit` of their light, sqrt(F_ij F_ji) = F_ij sqrt(A_i / A_j).
+        Two patches as near as that exchange more than NEAR of their light, sqrt(F_ij F_ji) = F_ij sqrt(A_i / A_j).
         Light that differs between siblings returns from there all but undiminished, and the correction raises it at
         each pass: the spectral radius comes to 1.2 (docs/design.md, Sub-cell correction).
         """
         F = self.rows.matrix().tocoo()
         i, j = F.coords
         size = np.sqrt(np.maximum(self.area, 1e-300))
-        near = (F.data * size[i] > limit * size[j]) & (self.area[i] > 0) & (self.area[j] > 0)
+        near = (F.data * size[i] > NEAR * size[j]) & (self.area[i] > 0) & (self.area[j] > 0)
         parent = self.mesh.parent
         beside = np.zeros(int(parent.max()) + 1, bool)
         beside[parent[i[near]]] = beside[parent[j[near]]] = True
