@@ -52,7 +52,7 @@ def main(opt):
             import scipy.sparse.csgraph  # noqa: F401
 
             from lib.light.balance import unsolved
-            from lib.picture import augmented
+            from lib.picture import augmented, differential
             from lib.picture import subject as subjects
 
             packages.open3d()
@@ -74,6 +74,13 @@ def main(opt):
         if line := unsolved(facts["residual"]):
             report.status = "not converged"
             report.warning(line)
+        if noisy := differential.mottled(facts.get("noise", {})):
+            report["noisy"] = noisy
+            most = facts["noise"][noisy[0]]
+            report.warning(
+                f"the light on {', '.join(noisy)} is noisy, {most:.2g} of display on {noisy[0]}: "
+                f"more rays than {opt.rays} make it less (params: augment: rays)"
+            )
         for text in scene.warnings:
             report.warning(text)
 

@@ -15,7 +15,7 @@ from lib.given import cameras, image, lenses, motion
 from lib.given import model as models
 from lib.given.model import changes
 from lib.given.transfer import Transfer
-from lib.light import changed_factors, factors_file, form_factors
+from lib.light import changed_factors, factors_file, form_factors, glints
 from lib.light import surface as surfaces
 from lib.picture import augmented, curved, differential, grain, rendering
 from lib.picture import subject as subjects
@@ -459,6 +459,34 @@ def test_a_file_of_many_mirrors_is_curved_and_one_of_few_is_not(scene, tmp_path)
         assert np.isfinite(made(scene, LOW, remove=["crate"], add=add).linear).all()
 
 
+def test_a_file_without_materials_has_the_entrys(scene, tmp_path):
+    """As programs write a mesh that nobody painted. A material for each group does not say which is meant."""
+    from lib.given.model import glb_writer
+
+    file = tmp_path / "bare.glb"
+    glb_writer.write_glb(file, models.load(scene["model"].replace("model", "crate")))
+    content = file.read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    gltf = json.loads(content[20 : 20 + length])
+    for mesh in gltf["meshes"]:
+        for primitive in mesh["primitives"]:
+            del primitive["material"]
+    del gltf["materials"], gltf["extras"]
+    text = json.dumps(gltf).encode().ljust(length)
+    file.write_bytes(content[:20] + text + content[20 + length :])
+    obj = tmp_path / "bare.obj"
+    lines = Path(scene["model"].replace("model", "crate")).read_text().splitlines()
+    obj.write_text("\n".join(line for line in lines if not line.startswith("usemtl")))
+    green = {"kind": "diffuse", "rho_d": [0.1, 0.6, 0.1]}
+    where = {"at": [-1.0, 0, 0], "material": green}
+    painted = made(scene, add={"file": scene["model"].replace("model", "crate"), **where})
+    for bare in (file, obj):
+        put = made(scene, add={"file": str(bare), **where})
+        assert put.facts["changed_pixels"] > 500 and (abs(put.values - painted.values) <= 3).all()
+        with pytest.raises(BadInput, match="has no material"):
+            made(scene, add={"file": str(bare), "material": {"crate": green}})
+
+
 def test_a_grey_photograph_stays_grey(scene, tmp_path):
     values = image.read_photograph(scene["photograph"]).values.mean(axis=2)
     image.write_png8(tmp_path / "left.png", np.round(255 * values).astype(np.uint8))
@@ -480,3 +508,31 @@ def test_a_linear_photograph_is_changed_as_it_is(scene, tmp_path):
     assert (made(files).linear == stored).all()
     brighter = made(files, lamps={"lamp": [18, 18, 18]})
     assert np.median(np.abs(brighter.linear - stored - rendered(scene))) < 0.01 and brighter.bits == 8
+
+
+def test_shares_are_no_wider_than_the_model(scene):
+    """Columns are picked of them, which takes memory for every column."""
+    subject = subjects.read(**scene)
+    n = subject.view.model.n_facets
+    shares = differential.shares(subject, n)
+    assert shares.shape == (84 * 112, n + 1) and np.allclose(shares.sum(axis=1), 1)
+    pure, facet = subject.pure.reshape(-1), subject.facet.reshape(-1)
+    assert (shares[np.flatnonzero(pure), facet[pure]] == 1).all()
+
+
+def test_noise_of_gathered_light_is_told(scene, monkeypatch):
+    """By gathering rays alone a narrow lobe on the floor is noisy, and told to be as noisy as many rays show."""
+    gloss = {"change": {"bottom": {"kind": "glossy", "rho_d": [0.2] * 3, "rho_s": [0.75] * 3, "alpha": [0.03] * 2}}}
+    shown = lambda made: np.clip(made.linear, 0, 1) ** (1 / GAMMA)
+    best = shown(made(scene, replace(QUALITY, n_rays=4096), **gloss))
+    sought = made(scene, **gloss)
+    monkeypatch.setattr(glints, "LARGE", 2.0)  # no plane is large enough to be sought by
+    met = made(scene, **gloss)
+    read = subjects.read(**scene)
+    walls = np.isin(read.group, [read.groups.index(n) for n in ("top", "west", "east", "south", "north")])
+    walls &= read.pure
+    off, off_met = (np.sqrt(((shown(m) - best)[walls] ** 2).mean()) for m in (sought, met))
+    told, told_met = (max(m.facts["noise"][n] for n in ("east", "north")) for m in (sought, met))
+    assert off < off_met / 2 and told < told_met / 2
+    assert 0.5 * off_met < told_met < 4 * off_met
+    assert "east" in differential.mottled(met.facts["noise"])

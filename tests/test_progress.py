@@ -55,6 +55,9 @@ def test_the_last_line(tmp_path):
     report(tmp_path, "fit", status="does not fit")
     said = progress.summary(tmp_path, "attic", str(page), time.time() - 22, ["index", "fit", "render", "report"])
     assert said.startswith("attic: does not fit, 0.50 %,")
+    report(tmp_path, "augment.gloss", noisy=["wall", "door"])
+    said = progress.summary(tmp_path, "attic", str(page), time.time() - 22, ["augment.gloss"])
+    assert said.startswith("attic: noise on wall, door, 0 warnings")
 
 
 def test_what_is_left_is_by_the_last_run(tmp_path):

@@ -23,6 +23,7 @@ class Place:
     """Where a group stands.
 
     rung : of kinds.RUNGS;  why : for the report;  tried : [{rung, excess, diffuse}] at the steps that led here
+    blind : a mirror that no pixel shows: others tell of it by what it throws on them
     rho_d, rho_s : (C,), where the fit is to begin, else None;  alpha : (2,);  tangent : (3,)
     """
 
@@ -34,6 +35,7 @@ class Place:
     why: str = ""
     tried: list = field(default_factory=list)
     given: bool = False
+    blind: bool = False
 
     @property
     def is_mirror(self):

@@ -192,6 +192,8 @@ def _specular(group: Group, climb: Climb, g, m, place: Place) -> Group:
         rho_s=_three(state.rho_s[m]),
         rho_d=_three(np.minimum(state.rho[g], 1 - state.rho_s[m])),  # no surface gives back more than it gets
     )
+    if place.blind:
+        return replace(group, sigma=Sigma(rho_s=sigma_s), identified=False)
     if place.is_mirror:  # it has no rho_d by what the word means
         return replace(group, sigma=Sigma(rho_d=NONE, rho_s=sigma_s))
     shape = climb.sigma_shape.get(g, {})

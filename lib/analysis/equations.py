@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lib.analysis.problem import Problem, State, display_residual, unseen_prior
+from lib.analysis.problem import Problem, State, display_residual
+from lib.analysis.start import unseen_prior
 from lib.analysis.transport import TileLight, product
 from lib.given.transfer import Transfer
 from lib.light.balance import reflected, times
@@ -258,8 +259,8 @@ class Equations:
         mean, spread = unseen_prior(self.problem, self.state.rho)
         for k in np.flatnonzero(~np.isin(self.layout.rho[:, 0], self.problem.tile_group)):
             g, c = self.layout.rho[k]
-            H[k, k] = 1 / spread[c] ** 2
-            target[k] = mean[c]
+            H[k, k] = 1 / spread[g, c] ** 2
+            target[k] = mean[g, c]
         for k in np.flatnonzero(np.isfinite(self.layout.spread_E)):
             H[len(self.layout.rho) + k, len(self.layout.rho) + k] = 1 / self.layout.spread_E[k] ** 2
         if self.layout.transfer > 1:

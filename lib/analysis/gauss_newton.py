@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from lib.analysis.equations import Equations, Layout, Unknowns
-from lib.analysis.problem import Problem, Result, initialise, rmse, scale, weights
+from lib.analysis.problem import Problem, Result, rmse, scale, weights
+from lib.analysis.start import initialise
 from lib.analysis.transport import TileLight
 from lib.analysis.uncertainty import uncertainty
 

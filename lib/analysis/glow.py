@@ -14,7 +14,8 @@ from lib.analysis.candidates import Candidate
 from lib.analysis.equations import Unknowns
 from lib.analysis.evidence import promised
 from lib.analysis.gather import Gathered
-from lib.analysis.problem import Problem, initialise
+from lib.analysis.problem import Problem
+from lib.analysis.start import initialise
 from lib.given.view import View
 from lib.light import form_factors, outside
 from lib.light import surface as surfaces

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lib.analysis import agreement, explain, glow, lamp_lobe, matrix, responses, unlike
+from lib.analysis import agreement, blackness, explain, glow, lamp_lobe, matrix, responses, unlike
 from lib.analysis.agreement import in_doubt
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import Candidate, enough
@@ -60,6 +60,15 @@ class Answer:
 
 def solve(task: Task, report: Report) -> Answer:
     """report : gets the trace, and what the ladder did"""
+    once = lambda task: _solved(task, report)
+    dark = blackness.groups(task)
+    answer = blackness.solved(task, dark, once) if dark else once(task)
+    if answer.ladder:
+        report["ladder"] = answer.ladder
+    return answer
+
+
+def _solved(task: Task, report: Report) -> Answer:
     trace = lambda iteration, image_rmse, state: report.trace(
         iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
     )
@@ -109,17 +118,17 @@ def solve(task: Task, report: Report) -> Answer:
         task, explained = in_lobes, lobed
     is_seen = explained is seen.explained
     audit, judged = (seen.audit, seen.judged) if is_seen else _looked(task, explained)
-    report["ladder"] = _summary(task, explained.problem, judged)
     if refined is not None and task is plain:
-        return _answer(explained, refined=refined, why=refined.why)
+        return _answer(explained, refined=refined, why=refined.why, ladder=_summary(task, explained.problem, judged))
     if wrong := explain.lamps_told_wrong(explained, leave, **options):
-        answer = _answer(explained, audit, judged)
+        answer = _answer(explained, audit, judged, ladder=_summary(task, explained.problem, judged))
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
         return answer
     answer = _materials(task, explained, audit, judged, report)
-    report["ladder"] |= answer.ladder
+    ladder = _summary(task, explained.problem, judged) | answer.ladder
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
         task, answer = in_lobes, _answer(lobed, *_looked(in_lobes, lobed))  # nothing suffices, lobes come nearest
+    answer.ladder = ladder
     answer.warnings += [
         f"lamp {lamp!r}: no lobe fits the photograph better than an even lamp"
         for lamp in sorted(task.lobes_unknown - answer.explained.lobes.keys())

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lib.analysis.problem import Problem, Result, State, initialise, observe, rmse, unseen_prior
+from lib.analysis.problem import Problem, Result, State, observe, rmse
+from lib.analysis.start import initialise, unseen_prior
 from lib.analysis.transport import TileLight
 from lib.given.transfer import GAMMA_RANGE, Metric, Transfer
 

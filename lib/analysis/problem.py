@@ -22,8 +22,6 @@ from lib.light.balance import BALANCED
 from lib.light.factors_file import OUTSIDE
 
 MISFIT = 4.0  # residuals so many times what noise explains: something told to the fit is wrong
-UNSEEN_MEAN, UNSEEN_SPREAD = 0.5, 0.3  # of groups never seen, where no group is seen
-LEAST_SPREAD = 0.05  # of the prior of a group never seen
 # of the variance of a pixel beside an edge that tiles have, over their pixels: twice what tiles of 4 to 30 pixels were
 # off by in JPEGs of quality 80
 EDGE_SHARE = 1 / 8
@@ -219,6 +217,7 @@ class Problem:
     unsure_outside : () -> the same, of what comes in from outside an open model; asked only where something does
     spread_E : (L, C) standard deviation of emittances before anything is seen, which may be negative then; inf: any
     noisy : tiles are medians, see Photograph.noisy
+    black : (G,) bool, groups that are black where light falls on them, or None
     """
 
     F: Any
@@ -252,6 +251,7 @@ class Problem:
     unsure_outside: Any = None
     spread_E: np.ndarray | None = None
     noisy: bool = False
+    black: np.ndarray | None = None
 
     def __post_init__(self):
         self.photograph = TilePixels(self.pixels, self.start, self.noisy)
@@ -451,44 +451,6 @@ def rmse(problem: Problem, residual):
     """Display RMSE over all pixels of the tiles."""
     w = np.broadcast_to(problem.n_pixels[:, None], residual.shape)
     return float(np.sqrt((w * residual**2).sum() / max(w.sum(), 1)))
-
-
-# -- where the search begins, and what stands in for what is not seen
-
-
-def initialise(problem: Problem, transfer: Transfer):
-    """Reflectances (G, C) and lamps (L, C) by eq. 4.3: rho_i is the mean of P ** gamma over the pixels of group i.
-
-    A group never seen starts at the seen groups' mean by area, an unknown lamp at the power that suits the picture's
-    mean.
-    """
-    seen, _ = observe(problem, transfer)
-    mean = group_mean(problem, seen)
-    rho = np.where(np.isnan(problem.rho), np.clip(mean, 0.02, 0.9), problem.rho)
-    prior, _ = unseen_prior(problem, rho)
-    rho = np.where(np.isnan(rho), prior, rho)
-    E = np.where(np.isnan(problem.emittance), 1.0, problem.emittance)
-    unknown = np.isnan(problem.emittance)
-    E[~problem.own_lamps] = np.nan_to_num(problem.emittance[~problem.own_lamps])
-    unknown[~problem.own_lamps] = False
-    if unknown.any():
-        # one power for all unknown lamps so that the picture's mean is right at rho = 0.5
-        level = (problem.D_tile @ E).mean(axis=0)
-        E = np.where(unknown, np.maximum(2 * seen.mean(axis=0) / np.maximum(level, 1e-12), 1e-6), E)
-    return rho, E
-
-
-def unseen_prior(problem: Problem, rho):
-    """Mean of the seen groups by area and their spread, per channel: what groups never seen may be (SCENE.md 3)."""
-    free = np.isnan(problem.rho).any(axis=1)
-    has = problem.seen_groups
-    use = has & free if (has & free).any() else has
-    if not use.any():
-        return np.full(problem.channels, UNSEEN_MEAN), np.full(problem.channels, UNSEEN_SPREAD)
-    w = problem.group_area[use][:, None]
-    mean = (rho[use] * w).sum(axis=0) / w.sum()
-    spread = np.sqrt(((rho[use] - mean) ** 2 * w).sum(axis=0) / w.sum())
-    return mean, np.maximum(spread, LEAST_SPREAD)
 
 
 def scale(problem: Problem) -> str:

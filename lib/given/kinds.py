@@ -36,3 +36,6 @@ ORDER = tuple(RUNGS)
 KINDS = tuple(dict.fromkeys(rung.kind for rung in RUNGS.values()))
 MIRRORS = tuple(dict.fromkeys(rung.kind for rung in RUNGS.values() if rung.mirror))
 LOBES = tuple(dict.fromkeys(rung.kind for rung in RUNGS.values() if rung.lobe))
+
+# the group of an added file's faces that have no material of their own, where the entry has one for all
+NAMELESS = "surface"

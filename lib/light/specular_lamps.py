@@ -12,10 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.given.rays_kernels import OFFSET
+from lib.light import glints_kernels
 from lib.light import specular_lamps_kernels as kernels
 from lib.light.chains import MIRROR, Chains, Finish
+from lib.light.glints_kernels import GlintArrays
 from lib.light.lamps import Emitter
 from lib.light.paths import DEPTH, AtLobes, Met
+from lib.light.paths_kernels import Lobes
 from lib.light.specular_lamps_kernels import GlossyArrays
 from lib.light.surface import Surface, triangle_areas
 
@@ -126,15 +129,24 @@ def lamp_areas(lamps):
     return np.array([triangle_areas(lamp.corners).sum() for lamp in lamps])
 
 
-def lobe_light(surface: Surface, lamps, at: AtLobes, *, seed=0):
+def no_glints(surface: Surface) -> GlintArrays:
+    """No ways are sought from lamps."""
+    return GlintArrays(np.zeros(len(surface.normal)), np.zeros((0, 3)))
+
+
+def lobe_light(surface: Surface, lamps, at: AtLobes, *, seed=0, glints: GlintArrays | None = None):
     """(n, lamps) what the lamps send straight into lobes, by one ray to each emitter, without rho_s.
 
     It is the balance heuristic's share; the rays of the lobe bring the rest, see `lamp_found`.
+    glints : what is sought from the lamps by way of the first surface, see lib/light/glints.py
     """
+    glints = no_glints(surface) if glints is None or at.step else glints
     places = GlossyArrays(at.p, at.facet, at.sign, at.group, at.met.rays, at.met.source)
     light = np.zeros((len(at.p), len(lamps)))
     for k, (lamp, area) in enumerate(zip(lamps, lamp_areas(lamps), strict=True)):
-        rays, value = kernels.to_lamp(places, at.lobes, surface.arrays, lamp.arrays, area, at.step, seed + k + 0.37)
+        rays, value = kernels.to_lamp(
+            places, at.lobes, surface.arrays, lamp.arrays, area, at.step, seed + k + 0.37, glints
+        )
         lit = np.flatnonzero(value > 0)
         if surface.n_occluders:
             value[lit[surface.shadows.occluded(rays[lit], 1 - 1e-4)]] = 0
@@ -142,10 +154,11 @@ def lobe_light(surface: Surface, lamps, at: AtLobes, *, seed=0):
     return light
 
 
-def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete):
+def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete, *, sought=None):
     """Which emitter the ends of rays lie on (n,), -1: none, and the share (n,) that the balance heuristic gives them.
 
     Rays that reached a lamp by no more than `complete` mirrors alone are not counted: mirrored lamps are.
+    sought : GlintArrays, the Finish, and the Met that the ways began with, where lamps are sought as well
     """
     if not lamps:
         return np.full(len(met), -1), np.zeros(len(met))
@@ -158,8 +171,25 @@ def lamp_found(surface: Surface, lamps, met: Met, chains: Chains, complete):
     along = -np.einsum("ij,ij->i", met.rays[:, 3:], surface.normal[f])
     which[along <= 0] = -1  # the back of a lamp is dark
     density = np.where(which >= 0, met.t.astype(float), 0) ** 2 / np.maximum(along * lamp_areas(lamps)[which], 1e-300)
+    if sought is not None:
+        density *= 1 + _sought(surface, met, chains, which, *sought)
     share = 1 / (1 + np.where(np.isfinite(met.lobe), density / np.maximum(met.lobe, 1e-300), 0))
     for k in np.flatnonzero([lamp.has_lobe for lamp in lamps]):
         mine = which == k
         share[mine] *= lamps[k].thrown(-met.rays[mine, 3:])
     return which, np.where(which >= 0, share, 0) * met.weight
+
+
+def _sought(surface, met, chains, which, glints: GlintArrays, finish: Finish, start: Met):
+    """(n,) how often each way was drawn from the lamp as well, over how often from here."""
+    of, axes = finish.facets(surface)
+    more = np.zeros(len(met))
+    at = np.flatnonzero((which >= 0) & (met.glossy == 1) & (chains.counts.sum(axis=1)[met.chain] == 1))
+    source = met.source[at]
+    facet = surface.facet[start.triangle[source]]
+    ends = [m.rays[k, :3] + m.t[k, None].astype(float) * m.rays[k, 3:] for m, k in ((start, source), (met, at))]
+    lobes = Lobes(axes, np.asarray(finish.alpha, float), finish.form)
+    more[at] = glints_kernels.often_each(
+        source, start.rays[source], *ends, facet, of[facet], glints, lobes, surface.arrays
+    )
+    return more

@@ -7,6 +7,7 @@ import numpy as np
 from lib.core.compiled import njit, prange
 from lib.given.rays_kernels import OFFSET
 from lib.light import ward_kernels as ward
+from lib.light.glints_kernels import GlintArrays, often
 from lib.light.lamps_kernels import LampArrays, on_lamp, thrown
 from lib.light.paths_kernels import Lobes, numbers
 from lib.light.surface_kernels import SurfaceArrays
@@ -24,12 +25,22 @@ class GlossyArrays(NamedTuple):
 
 
 @njit(parallel=True)
-def to_lamp(places: GlossyArrays, lobes: Lobes, surface: SurfaceArrays, lamp: LampArrays, area, step, seed):
+def to_lamp(
+    places: GlossyArrays,
+    lobes: Lobes,
+    surface: SurfaceArrays,
+    lamp: LampArrays,
+    area,
+    step,
+    seed,
+    glints: GlintArrays,
+):
     """One ray from each place to the lamp, (n, 6) origin and vector, and what it brings into the lobe, (n,).
 
     What it brings is for E = 1 and rho_s = 1; whether something stands on the way is not asked.
 
-    The value is that of the balance heuristic, whose other half are the rays of the lobe that find the lamp.
+    The value is that of the balance heuristic, whose other half are the rays of the lobe that find the lamp, and where
+    glints.ratio is not 0 the ways of lib/light/glints.py.
     """
     p, facet, sign, view = places.p, places.facet, places.sign, places.rays
     normal, axes, corners, front = surface.normal, lobes.axes, lamp.corners, lamp.normal
@@ -63,5 +74,11 @@ def to_lamp(places: GlossyArrays, lobes: Lobes, surface: SurfaceArrays, lamp: La
         density = squared / (there * area)
         reflected = ward.value(lobes.form, ax, ay, ix, iy, iz, ox, oy, oz)
         reflected *= thrown(lamp.lobe, -rays[j, 3], -rays[j, 4], -rays[j, 5])
+        if glints.ratio[f] > 0:
+            x_there, p_first = np.empty(3), np.empty(3)
+            for d in range(3):
+                x_there[d], p_first[d] = rays[j, d] + rays[j, 3 + d], view[j, d]
+            n_first = glints.normal[places.source[j]]
+            density *= 1 + often(p_first, n_first, p[j], x_there, f, ax, ay, glints.ratio[f], surface, axes)
         value[j] = reflected * iz / (density + ward.pdf(ax, ay, ix, iy, iz, ox, oy, oz))
     return rays, value

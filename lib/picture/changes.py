@@ -18,7 +18,7 @@ import numpy as np
 from lib.core.stage import BadInput
 from lib.given import image
 from lib.given import model as models
-from lib.given.kinds import LOBES, MIRRORS
+from lib.given.kinds import LOBES, MIRRORS, NAMELESS
 from lib.given.materials import Group, Lamp, Materials
 from lib.given.model import Model, changes
 from lib.given.model.parts import joined
@@ -155,16 +155,16 @@ def _added(made: Change, number, thing):
     one = f"added {number}"
     turn, at, scale = changes.turned(thing.get("rotate", [0, 0, 0])), thing.get("at", [0, 0, 0]), thing.get("scale", 1)
     ellipsoids = list(made.ellipsoids)
+    material = thing["material"]
+    whole = any(not isinstance(value, dict) for value in material.values())
     if "file" in thing:
-        bare = models.load(thing["file"])
+        bare = models.load(thing["file"], bare=NAMELESS if whole else None)
     else:
         axes = np.array(thing.get("ellipsoid") or 3 * [thing["sphere"]], float)
         bare = changes.luminous(axes, one) if "emittance" in thing["material"] else changes.ellipsoid(axes, one)
         facets = made.model.n_facets + np.arange(bare.n_facets)
         if "emittance" not in thing["material"]:
             ellipsoids.append(Ellipsoid(facets, np.asarray(at, float), np.diag(1 / (scale * axes)) @ turn.T))
-    material = thing["material"]
-    whole = any(not isinstance(value, dict) for value in material.values())
     of = {group: material if whole else material.get(group) for group in bare.groups}
     if missing := [group for group, value in of.items() if value is None]:
         raise BadInput(f"entry: add: material: group {missing[0]!r} of {thing['file']} is missing")

@@ -29,6 +29,7 @@ NEAR = 1e-5  # local: two places that mirrors show are the same
 SLIGHT = 0.03  # change of light, as a share, below which what lies beside it does not matter
 MUCH = 0.03  # change of all light, as a share, from which on a difference is no less than the light itself
 MORE = 4  # times the rays of other light, for the difference: it is small, and its places are few
+VISIBLE = 0.003  # noise of a group's display values, rms, from which on its blotches are seen
 FINE = 0.3  # of the tolerance of other light: that of the difference
 
 
@@ -67,6 +68,7 @@ def renderings(recovered: Subject, changed: Subject, quality: Quality, *, timing
         made = rendering.finished(subject, of, quality, every, *light(every), timing=timing, virtual=mirrored)
         pictures.append(subject.through_lens(made.linear))
     facts = {"places": makers.places, "pixels_of_another_facet": int((~same).sum())}
+    facts["noise"] = makers.noisy(pictures[1])
     facts["residual"] = max(of.light.residual for of in lit)
     return Pair(*pictures, new[..., None], facts)
 
@@ -81,6 +83,7 @@ class _Makers:
         self.subjects, self.lit, self.quality, self.timing = subjects, lit, quality, timing
         self.shape = (*subjects[0].facet.shape, subjects[0].channels)
         self.places = 0
+        self.noise = np.zeros(self.shape[:2])
         self.slight = _change(*lit) < MUCH
 
     def lights(self, seen, same, altered, mirrored=False):
@@ -97,7 +100,7 @@ class _Makers:
             with self.timing("indirect"):
                 leaves = _both(self.subjects, self.lit, those, by_lamps, self.quality, difference and self.slight)
                 light = np.split(interpolated(leaves, those), 2, axis=1)
-            self.places += len(leaves)
+            self._count(leaves, those, mirrored)
             for k in range(2):
                 direct[k][those.y, those.x], between[k][those.y, those.x] = by_lamps[k], light[k]
         own = {"n_rays": self.quality.n_rays, "contact": self.quality.contact, "tolerance": self.quality.tolerance}
@@ -108,9 +111,30 @@ class _Makers:
             with self.timing("indirect"):
                 leaves = indirect.gather(subject.surface, of.shown, of.lamps, of.E, those, by_lamps, **own)
                 direct[k][those.y, those.x], between[k][those.y, those.x] = by_lamps, interpolated(leaves, those)
-            self.places += len(leaves)
+            self._count(leaves, those, mirrored or k == 0)
         at = lambda k: lambda those: (direct[k][those.y, those.x], between[k][those.y, those.x])
         return at(0), at(1)
+
+    def _count(self, leaves, seen: Pixels, elsewhere):
+        """The leaves, and their noise in the picture unless it is not seen there."""
+        self.places += len(leaves)
+        if not elsewhere:
+            number = leaves.last - leaves.first
+            at = np.repeat(leaves.first, number) + _counting(number)
+            self.noise[seen.y[at], seen.x[at]] = np.repeat(leaves.noise, number)
+
+    def noisy(self, after):
+        """{group: rms of the display values' noise by other surfaces' light, over its pixels}. after : (H, W, C)"""
+        subject, facet = self.subjects[1], self.subjects[1].facet
+        rho = np.append(self.lit[1].shown.rho.mean(axis=1), 0)[np.maximum(facet, -1)]
+        light = after.mean(axis=2)
+        more = [subject.show((light + sign * rho * self.noise)[..., None]) for sign in (-1, 1)]
+        error = (more[1] - more[0])[..., 0] / 2
+        group = np.where(facet >= 0, subject.surface.group[facet], len(subject.groups))
+        squares = np.bincount(group.ravel(), (error**2).ravel(), len(subject.groups) + 1)
+        number = np.bincount(group.ravel(), minlength=len(squares))
+        noise = np.sqrt(squares / np.maximum(number, 1))
+        return {name: float(noise[g]) for g, name in enumerate(subject.groups) if number[g]}
 
     def of_mirrors(self):
         """The same of what mirrors show."""
@@ -233,9 +257,10 @@ def _both(subjects, lit, seen: Pixels, by_lamps, quality, difference):
     rho = np.maximum(*(of.shown.rho[: len(subjects[0].surface.normal)] for of in lit))
     brightness = np.mean([values.mean(axis=1) for values in by_lamps], axis=0)
     rays = MORE * quality.n_rays if difference else quality.n_rays
-    how = {"n_rays": rays, "contact": quality.contact, "tolerance": quality.tolerance}
+    apart = lambda both: both[:, C:] - both[:, :C]
+    how = {"n_rays": rays, "contact": quality.contact, "tolerance": quality.tolerance, "told": apart}
     if difference:
-        how |= {"tolerance": FINE * quality.tolerance, "judged": lambda both: both[:, C:] - both[:, :C]}
+        how |= {"tolerance": FINE * quality.tolerance, "judged": apart}
     return indirect.gather_by(look, rho, seen, brightness, **how)
 
 
@@ -283,7 +308,8 @@ def _only(pieces, which):
 
 def new_share(recovered: Subject, changed: Subject):
     """(H, W) share of each pixel that shows another facet than before, or one of another finish or texture."""
-    before, after = (shares(s) for s in (recovered, changed))
+    n = max(s.view.model.n_facets for s in (recovered, changed))
+    before, after = (shares(s, n) for s in (recovered, changed))
     both = before.minimum(after)
     other = np.flatnonzero(_looks_other(recovered, changed))
     new = 1 - np.asarray(both.sum(axis=1)).ravel() + np.asarray(both[:, other].sum(axis=1)).ravel()
@@ -302,7 +328,7 @@ def _other_lamps(recovered: Subject, changed: Subject):
     other = np.flatnonzero((before != after).any(axis=1))
     if not len(other):
         return np.zeros(recovered.facet.shape, bool)
-    some = (shares(recovered)[:, other].sum(axis=1) > 0).reshape(recovered.facet.shape)
+    some = (shares(recovered, recovered.view.model.n_facets)[:, other].sum(axis=1) > 0).reshape(recovered.facet.shape)
     return binary_dilation(some, np.ones((3, 3)))
 
 
@@ -316,8 +342,11 @@ def _emitted(subject: Subject, n):
     return out
 
 
-def shares(subject: Subject):
-    """(H W, F + 1) sparse: the share of each pixel that shows each facet, the last nothing."""
+def shares(subject: Subject, last):
+    """(H W, last + 1) sparse: the share of each pixel that shows each facet; the column `last`: nothing.
+
+    No wider than it must be: to pick some columns costs memory for all of them.
+    """
     from scipy.sparse import csr_array
 
     pieces, facet = subject.coverage, subject.facet.reshape(-1)
@@ -325,13 +354,21 @@ def shares(subject: Subject):
     number = np.diff(pieces["start"])
     pure = np.ones(len(facet), bool)
     pure[pixel] = False
-    last = 1 << 30
     count = np.asarray(pieces["count"], float) / 64
     covered = np.bincount(np.repeat(np.arange(len(pixel)), number), count, len(pixel))
     rows = np.concatenate([np.flatnonzero(pure), np.repeat(pixel, number), pixel])
     columns = np.concatenate([np.where(facet[pure] < 0, last, facet[pure]), pieces["facet"], np.full(len(pixel), last)])
     values = np.concatenate([np.ones(pure.sum()), count, 1 - covered])
     return csr_array((values, (rows, columns)), shape=(len(facet), last + 1))
+
+
+def mottled(noise):
+    """The groups whose noise is to be seen, the worst first. noise : {group: rms of display values}
+
+    >>> mottled({"wall": 0.01, "floor": 0.001, "door": 0.02})
+    ['door', 'wall']
+    """
+    return sorted((g for g, value in noise.items() if value > VISIBLE), key=lambda g: -noise[g])
 
 
 # ---- with the photograph ----

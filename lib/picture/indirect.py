@@ -53,7 +53,7 @@ def _as_it_is(irradiance):
 
 
 def gather_by(
-    look, rho, pixels: Pixels, brightness, *, n_rays, contact, tolerance, trace=None, judged=_as_it_is
+    look, rho, pixels: Pixels, brightness, *, n_rays, contact, tolerance, trace=None, judged=_as_it_is, told=_as_it_is
 ) -> Leaves:
     """The same for any light at the pixels.
 
@@ -61,7 +61,7 @@ def gather_by(
         halves of the rays (K, C), distance (K,) of what is seen
     rho : (F, C) of the facets, which say where no light matters;  brightness : (M,) what an error is a share of, beside
         the light itself
-    judged : of light (K, C), the part (K, c) that must be foretold
+    judged : of light (K, C), the part (K, c) that must be foretold;  told : the part whose noise is that of the leaves
     """
     smallest, largest = 1, max(2, round(np.log2(max(min(pixels.number.shape) / 15, 1))))
     few = max(16, n_rays // 2)
@@ -83,7 +83,7 @@ def gather_by(
             break
         blocks = pixel_blocks(pixels, everything.first[split], everything.last[split], level - 1)
     done = _evened_out(done, pixels, gathered)
-    _finish(look, rho, pixels, done, brightness, n_rays, largest)
+    _finish(look, rho, pixels, done, brightness, n_rays, largest, told)
     return done
 
 
@@ -111,8 +111,8 @@ def _evened_out(leaves, pixels, gathered):
     return leaves
 
 
-def _finish(look, rho, pixels, leaves, brightness, n_rays, largest):
-    """The final rays, in place.
+def _finish(look, rho, pixels, leaves, brightness, n_rays, largest, told):
+    """The final rays, in place, and their noise.
 
     Facets whose light comes from few directions (dark ones before a bright gap) get up to four times as many rays,
     those of even light fewer, and those that reflect nothing next to none.
@@ -130,7 +130,8 @@ def _finish(look, rho, pixels, leaves, brightness, n_rays, largest):
     for n in np.unique(leaves.rays):
         mine = np.flatnonzero(leaves.rays == n)
         first, last = leaves.first[mine], leaves.last[mine]
-        leaves.irradiance[mine] = look(first, last, int(n), 950 + int(n))[0]
+        leaves.irradiance[mine], half, _ = look(first, last, int(n), 950 + int(n))
+        leaves.noise[mine] = np.abs(told(half)).mean(axis=1)
 
 
 def _gathered(look, pixels, first, last, level, n_rays) -> Leaves:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lib.given.rays import shifts, sobol
+from lib.light import glints, paths, specular_lamps
 from lib.light import lamps as lamps_
-from lib.light import paths, specular_lamps
 from lib.light.form_factors import CHUNK
 from lib.light.surface import Surface
 from lib.picture import ray_light_kernels as kernels
@@ -39,7 +39,11 @@ def gathered_light(surface, shown, lamps, E, p, first, last, side, n_rays, seed,
             RayEnds(rays, triangle, t), n_rays, arrays, shown.arrays, near, close
         )
         if shown.ways is not None:
-            total[a:b] += _by_ways(surface, shown, rays, triangle, t, b - a, n_rays)
+            some = first[a:b], last[a:b], p
+            blocks = np.arange(a, b) if numbers is None else numbers[a:b]
+            by_ways = _by_ways(surface, shown, RayEnds(rays, triangle, t), some, side[a:b], n_rays, blocks, seed)
+            total[a:b] += by_ways[0]
+            half[a:b] += by_ways[1]
     return total, half, distance
 
 
@@ -52,25 +56,47 @@ def _with_glow(shown, rays, triangle, near, close):
     return near, np.vstack([close, shown.glow.light(rays[gone]).astype(np.float32)])
 
 
-def _by_ways(surface, shown, rays, triangle, t, m, n_rays):
-    """What m places receive from their rays after mirrors and glossy surfaces, (m, C)."""
+def _by_ways(surface, shown, ends: RayEnds, places, side, n_rays, blocks, seed):
+    """What K places receive from their rays after mirrors and glossy surfaces, and half the difference of the rays' two
+    halves, both (K, C).
+
+    places : first, last (K,), p (M, 3);  side : (K,);  blocks : (K,) numbers that their random numbers belong to
+    """
+    rays, triangle, t = ends
+    K, ways = len(side), shown.ways
     f = np.where(triangle >= 0, surface.facet[triangle], 0)
     back = np.einsum("ij,ij->i", rays[:, 3:], surface.normal[f]) > 0
     counts = ~((triangle >= 0) & surface.inside[2 * f + back])
-    element = np.repeat(np.arange(m), n_rays)
+    element = np.arange(len(rays)) * 2 // n_rays  # each half is one
     start = paths.first_met(rays, np.where(counts, triangle, -1), t)
-    return beyond(surface, shown, start, element, m) / np.maximum(np.bincount(element, counts, m), 1)[:, None]
+    normal = surface.normal[side // 2] * (1.0 - 2.0 * (side % 2))[:, None]
+    of = glints.glints(surface, ways.finish, np.repeat(normal, n_rays, axis=0), n_rays)
+    sums = beyond(surface, shown, start, element, 2 * K, sought=of)
+    if of is not None:
+        E = ways.E[[lamp.lamp for lamp in ways.lamps]]
+        every = glints.light(surface, ways.finish, ways.chains, ways.lamps, of, places, normal, blocks, seed + 17)
+        for row, k, chain, value in every:
+            found = np.bincount(row, value, 2 * K)
+            sums += found[:, None] * E[k] * ways.chains.power(ways.rho_s)[chain]
+    number = np.bincount(element, counts, 2 * K)
+    sums, number = sums.reshape(K, 2, -1), number.reshape(K, 2, 1)
+    each = sums / np.maximum(number, 1)
+    return sums.sum(axis=1) / np.maximum(number.sum(axis=1), 1), (each[:, 0] - each[:, 1]) / 2
 
 
-def beyond(surface: Surface, shown: LightMap, start, element, m, *, seed=11):
+def beyond(surface: Surface, shown: LightMap, start, element, m, *, seed=11, sought=None):
     """Sums (m, C) over the rays of each element of what they find after the specular surfaces that they have met.
 
     start : lib.light.paths.Met;  element : (n,) of each ray
+    sought : Glints, where lamps in glossy planes are sought as well; what that brings is not part of the sums
     """
     ways = shown.ways
     C = shown.value.shape[1]
     total = np.zeros((m, C))
     E = ways.E[[lamp.lamp for lamp in ways.lamps]]  # of each emitter
+
+    arrays = None if sought is None else sought.arrays
+    also = None if sought is None else (arrays, ways.finish, start)
 
     def add(met, light):
         light = light * ways.chains.power(ways.rho_s)[met.chain]
@@ -78,11 +104,11 @@ def beyond(surface: Surface, shown: LightMap, start, element, m, *, seed=11):
             total[:, c] += np.bincount(element[met.source], light[:, c], m)
 
     def at_lobe(at):
-        add(at.met, specular_lamps.lobe_light(surface, ways.lamps, at, seed=seed) @ E)
+        add(at.met, specular_lamps.lobe_light(surface, ways.lamps, at, seed=seed, glints=arrays) @ E)
 
     for met in paths.follow(surface, ways.finish, ways.chains, start, seed=seed, at_lobe=at_lobe):
         light = reflected_at(surface, shown, met.rays, met.triangle, met.t) * met.weight[:, None]
-        which, share = specular_lamps.lamp_found(surface, ways.lamps, met, ways.chains, ways.complete)
+        which, share = specular_lamps.lamp_found(surface, ways.lamps, met, ways.chains, ways.complete, sought=also)
         on = np.flatnonzero(which >= 0)
         light[on] += share[on, None] * E[which[on]]
         add(met, light)

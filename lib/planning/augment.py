@@ -3,11 +3,12 @@
 The checks of one entry need no scene, so that the stage makes them too. Each yields (field, value, what is wrong).
 """
 
+import functools
 import math
 from pathlib import Path
 
 from lib.core.stage import BadInput
-from lib.given.kinds import KINDS, LOBES, MIRRORS
+from lib.given.kinds import KINDS, LOBES, MIRRORS, NAMELESS
 from lib.planning.files import GROUPS_OF
 from lib.planning.rules import NAME, finite, mapping, names_of, scene_file, show, three
 
@@ -259,7 +260,9 @@ def inspect(scene, model):
         if model is not None:
             yield from _unknown(where, value, model, set(scene.lamps))
         for thing in listed(value.get("add", [])):
-            yield from _unusable(models.load, scene, thing.get("file"))
+            # the material that an entry names for a whole object stands for any that its file lacks
+            bare = NAMELESS if is_one(thing["material"]) else None
+            yield from _unusable(functools.partial(models.load, bare=bare), scene, thing.get("file"))
             if "file" in thing and not is_one(thing["material"]):
                 yield from _groups(where, scene, thing, models.load)
         for key, file in files(value):

@@ -72,6 +72,8 @@ def summary(build, title, page, began, stages) -> str:
     if "check" in stages:
         doubts = sum(bool(f.get("doubt")) for f in _read(build / "check.json").get("findings", []))
         words.append(f"{doubts} doubt{'s' * (doubts != 1)}")
+    if noisy := list(dict.fromkeys(group for r in reports for group in r.get("noisy", []))):
+        words.append(f"noise on {', '.join(noisy)}")
     warnings = sum(len(r.get("warnings", [])) for r in reports)
     words.append(f"{warnings} warning{'s' * (warnings != 1)}")
     words.append(f"{time.time() - began:.0f} s")

@@ -4,7 +4,7 @@
 
 TRUTH/ holds what augment_truth.py writes. The scenes must have been made into BUILD/. `rmse` is of display values over
 the whole picture, `noise` that of the truth's own path tracing, `apart` their difference in squares; `told`,
-`identical` and `most` say how the photograph is kept where the true change is below a quarter step (`kept`).
+`identical`, `elsewhere` and `missed` say how the photograph is kept where nothing changes, see `kept`.
 """
 
 import csv
@@ -122,13 +122,19 @@ def kept(values, photograph, true, change, noise, gamma):
     """How the photograph is kept where the true change is below a quarter step, told by at least two of its errors.
 
     values : (H, W, 3) of 255;  true, change, noise : linear, after the change, its size and standard error
-    told : such pixels, a share of all;  identical : to the last bit, a share of those;  most : the others', in steps
+    told : such pixels, a share of all;  identical : to the last bit, a share of those
+    elsewhere : the largest change of ours there, in steps: nothing should change by as much as one
+    missed : the largest true change, less three of its errors, of pixels that we left as they were, in steps
     """
     apart = np.abs(display(true, gamma) - display(true - change, gamma))
     slope = np.maximum(np.minimum(true, true - change), 1e-4) ** (1 / gamma - 1) / gamma
     told = (apart + 2 * slope * noise < STEP / 4).all(axis=2)
     ours = np.abs(values - np.rint(255 * photograph)).max(axis=2)[told]
-    return {"told": float(told.mean()), "identical": float((ours == 0).mean()), "most": float(ours.max(initial=0))}
+    left = (values == np.rint(255 * photograph)).all(axis=2)
+    missed = ((apart - 3 * slope * noise) / STEP).max(axis=2)[left]
+    row = {"told": told.mean(), "identical": (ours == 0).mean() if len(ours) else np.nan}
+    row |= {"elsewhere": ours.max(initial=0), "missed": missed.max(initial=0)}
+    return {key: float(value) for key, value in row.items()}
 
 
 def reinserted(scene, objects, out, build):

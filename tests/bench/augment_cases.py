@@ -52,6 +52,9 @@ CASES = {
         },
         "moved": {"move": {"bin": [-0.6, 0.5, 0]}},
         "night": {"lamps": {"lamp": [10, 10, 16]}},
+        "gloss": {
+            "change": {"floor": {"kind": "glossy", "rho_d": [0.38, 0.3, 0.23], "rho_s": 3 * [0.3], "alpha": 2 * [0.05]}}
+        },
         "ball": {
             "add": {"sphere": 0.15, "at": [4.4, 1.6, 0.91], "material": {"kind": "diffuse", "rho_d": [0.7, 0.4, 0.1]}}
         },

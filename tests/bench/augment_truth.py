@@ -116,6 +116,8 @@ def _of(material, group, materials, surfaces):
     if material.get("kind") == "mirror":
         return materials | {group: (0.0, 0.0, 0.0)}, surfaces | {group: Surface("mirror", (1, 1, 1))}
     surfaces = {name: surface for name, surface in surfaces.items() if name != group}
+    if material.get("kind") == "glossy":
+        surfaces[group] = Surface("glossy", tuple(material["rho_s"]), tuple(material["alpha"]))
     return materials | {group: tuple(material["rho_d"])}, surfaces
 
 

@@ -17,8 +17,10 @@ from lib.given.model.obj import read_obj
 MARKED = {b"glTF": read_glb}  # formats by their first bytes; what has no mark is read as OBJ
 
 
-def load(path, metres=1.0) -> Model:
-    """Read and check model.obj or model.glb. metres : the unit of its lengths
+def load(path, metres=1.0, bare=None) -> Model:
+    """Read and check model.obj or model.glb.
+
+    metres : the unit of its lengths;  bare : group of faces without material; None: such are refused
 
     Refused, naming file, line (or primitive) and value: a vertex that is not finite, an index out of range, a face
     without material, no face at all.  Polygons without area are dropped; polygons that are not planar and those that
@@ -27,5 +29,5 @@ def load(path, metres=1.0) -> Model:
     path = os.fspath(path)
     content = bounded.content(path)
     read = next((reader for start, reader in MARKED.items() if content.startswith(start)), read_obj)
-    polygons = read(path, content)
+    polygons = read(path, content, bare)
     return build(path, polygons._replace(vertices=metres * polygons.vertices))

@@ -30,10 +30,11 @@ class Mesh(NamedTuple):
     group: str
 
 
-def read_glb(path, content) -> Polygons:
+def read_glb(path, content, bare=None) -> Polygons:
     """Binary glTF 2: the triangles of the nodes of its scene, in the file's frame (node transforms applied).
 
     path : for messages        content : the file's bytes
+    bare : group of primitives without material; None: such are refused
     """
     try:
         magic, version, total = struct.unpack_from("<4sII", content)
@@ -49,7 +50,7 @@ def read_glb(path, content) -> Polygons:
         gltf = bounded.json_of(path, chunks[b"JSON"])
         if not isinstance(gltf, dict):
             raise TypeError("the JSON is no table")
-        reader = _Reader(path, gltf, chunks.get(b"BIN\0", b""))
+        reader = _Reader(path, gltf, chunks.get(b"BIN\0", b""), bare)
         return _polygons(path, list(reader.meshes()), reader.gltf.get("extras") or {})
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, struct.error) as error:
         raise BadInput(f"{path}: not a readable GLB: {type(error).__name__}: {error}") from None
@@ -87,8 +88,8 @@ def _polygons(path, meshes, order):
 class _Reader:
     """The JSON chunk, and the binary one that it points into."""
 
-    def __init__(self, path, gltf, binary):
-        self.path, self.gltf, self.binary = path, gltf, binary
+    def __init__(self, path, gltf, binary, bare):
+        self.path, self.gltf, self.binary, self.bare = path, gltf, binary, bare
 
     def meshes(self):
         """Every primitive of triangles, node by node."""
@@ -123,7 +124,7 @@ class _Reader:
 
     def mesh(self, primitive, thing, T_world_node, where):
         """A primitive in the world; where : for messages."""
-        if "material" not in primitive:
+        if "material" not in primitive and self.bare is None:
             raise BadInput(f"{where}: has no material")
         p = self.accessor(primitive["attributes"]["POSITION"]).astype(float)
         if REMAINDER in primitive["attributes"]:
@@ -138,8 +139,10 @@ class _Reader:
         triangles = _triangles(primitive.get("mode", TRIANGLES), index)
         if np.linalg.det(T_world_node[:3, :3]) < 0:  # mirrored: the front stays the front
             triangles = triangles[:, ::-1]
-        material = self.gltf["materials"][primitive["material"]]
-        group = str(material.get("name") or f"material {primitive['material']}")
+        group = self.bare
+        if "material" in primitive:
+            material = self.gltf["materials"][primitive["material"]]
+            group = str(material.get("name") or f"material {primitive['material']}")
         return Mesh(p @ T_world_node[:3, :3].T + T_world_node[:3, 3], triangles, thing, group)
 
     def accessor(self, index):

@@ -9,10 +9,11 @@ from lib.given.model.polygons import Polygons
 FAR = 1 << 62  # what becomes of an index too large for an int64; no file reaches it either
 
 
-def read_obj(path, content) -> Polygons:
+def read_obj(path, content, bare=None) -> Polygons:
     """Wavefront OBJ: v, f, o, usemtl; everything else, `g` included, is passed over.
 
     path : for messages        content : the file's bytes
+    bare : group of faces without material; None: such are refused
     """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise BadInput(f"{path}: is UTF-16: save it as UTF-8")
@@ -26,7 +27,7 @@ def read_obj(path, content) -> Polygons:
         raise BadInput(f"{path}: not an OBJ file: byte 0 at {text.index(chr(0))}")
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
-    reader = _Reader(path)
+    reader = _Reader(path, bare)
     statements = {"v": reader.vertex, "f": reader.face, "o": reader.new_object, "usemtl": reader.new_group}
     for number, line in _lines(text):
         kind, *rest = line.split(None, 1)
@@ -48,13 +49,13 @@ def _lines(text):
 class _Reader:
     """What has been read so far; each statement takes its line's number, the line, and what follows the first word."""
 
-    def __init__(self, path):
+    def __init__(self, path, bare):
         self.path = path
         self.vertices, self.vertex_lines = [], []
         self.corners, self.starts, self.face_lines = [], [0], []
         self.face_object, self.face_group = [], []
         self.objects, self.groups = {}, {}  # name -> index
-        self.object = self.group = None
+        self.object, self.group = None, bare
 
     def refuse(self, number, problem):
         raise BadInput(f"{self.path}: line {number}: {problem}") from None
