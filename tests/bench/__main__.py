@@ -13,6 +13,7 @@ surfaces       how much of a plane is one surface, and how many span two, agains
 facets         planes of true regions by borders, intensities and both, against truth
 recognise      the pose by the paper's gradient and by the trust region; seeded trials of the search
 place          movable objects that stand elsewhere, by the photographs' pixels
+picked         the pose from eight picked corners, and what the photograph's edges make of it
 exports        what Mitsuba, Radiance and Cycles make of exported scenes (make .venv-exports/ready)
 augment        changed photographs of `office` by the number of rays, against many
 ladder         which rung each group reaches under 20 seeds of noise, and the error of mirrors and lobes (an hour)
@@ -320,6 +321,7 @@ ALONE = {
     "facets": "facet_curves",
     "recognise": "recognise_curves",
     "place": "place_curves",
+    "picked": "picked_curves",
     "exports": "export_curves",
     "augment": "augment_bench",
     "ladder": "ladder_bench",
