@@ -110,8 +110,8 @@ def main(opt):
 def by_the_paper(opt, task, report):
     """The printed alternation, which knows no causes and no ladder."""
     from lib.analysis import agreement, paper
+    from lib.analysis.answers import Answer
     from lib.analysis.explain import Explained
-    from lib.analysis.inversion import Answer
     from lib.analysis.problem import scale
 
     trace = lambda iteration, image_rmse, state: report.trace(

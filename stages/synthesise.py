@@ -59,6 +59,7 @@ def options():
     )
     parser.add_argument("--board-spp", type=int, default=36, help="samples per pixel of a chessboard's shot")
     parser.add_argument("--gather", action="store_true", help="stored light and one bounce; --spp 256 --passes 6 do")
+    parser.add_argument("--linear", action="store_true", help="also truth/linear.exr, as --gather writes it")
     parser.add_argument("--preview", type=Path, help="write only this picture (PNG), nothing else")
     return parser
 

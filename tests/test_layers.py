@@ -50,10 +50,12 @@ HEAVY = {
 # Other imports inside functions that stay, and why.
 LATE = {
     ("lib.core.artefact", "numpy"): "planning writes JSON and does without NumPy, 0.1 s of every `make`",
-    ("lib.analysis.inversion", "lib.analysis.ascent"): "0.1 s of every fit; few scenes climb",
+    ("lib.analysis.own_materials", "lib.analysis.ascent"): "0.1 s of every fit; few scenes climb",
+    ("lib.analysis.inversion", "lib.analysis.ascent"): "the same",
     ("lib.analysis.inversion", "lib.analysis.places"): "0.05 s: only where the light leaves a doubt",
     ("lib.analysis.inversion", "lib.analysis.refine"): "0.06 s: the same",
     ("lib.analysis.inversion", "lib.analysis.strangers"): "with them",
+    ("lib.analysis.answers", "lib.analysis.strangers"): "the same",
     ("lib.planning.augment", "lib.given.image"): "NumPy, and only where scene.yaml asks for changed pictures",
     ("lib.planning.augment", "lib.given.lenses"): "the same",
     ("lib.planning.augment", "lib.given.model"): "the same",

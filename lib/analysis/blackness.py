@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from lib.analysis.candidates import enough
-from lib.analysis.evidence import evidence
 from lib.analysis.task import Task
 
 BLACK = 2 / 255 + 1e-9  # display; of `trust`
@@ -51,7 +50,7 @@ def solved(task: Task, dark, solve):
         other = solve(as_mirror)
         if other.refined is not None:
             return other
-        gain, least = _nats(other) - _nats(best), enough(best.problem)
+        gain, least = other.nats - best.nats, enough(best.problem)
         if other.why and not best.why:
             gain = -least
         elif best.why and not other.why:
@@ -64,10 +63,6 @@ def solved(task: Task, dark, solve):
         elif gain > -least and _contain(best, other):
             best.warnings.append(f"group {name!r} is black or a mirror that shows the dark: every sigma contains both")
     return best
-
-
-def _nats(answer) -> float:
-    return evidence(answer.problem, answer.result.at).nats
 
 
 def _contain(answer, other) -> bool:

@@ -61,7 +61,7 @@ class Candidate:
     def start(self) -> Unknowns:
         """Where the next fit begins."""
         state = self.result.state
-        return Unknowns(state.rho, state.E, state.transfer, near=self.result.at)
+        return Unknowns(state.rho, state.E, state.transfer, state.rho_s, near=self.result.at)
 
     def once(self, question, ask):
         """The answer of ask(self), which is asked only once: what costs a fit is needed in several places."""

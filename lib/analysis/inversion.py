@@ -9,53 +9,26 @@ the answer says so (`refined`), and is good for nothing else: all is to be made 
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from lib.analysis import agreement, blackness, explain, glow, lamp_lobe, matrix, responses, unlike
 from lib.analysis.agreement import in_doubt
-from lib.analysis.audit import Audit
+from lib.analysis.answers import Answer, answered, audit_of, looked, things_of
 from lib.analysis.candidates import Candidate, enough
-from lib.analysis.climbing import SPECULAR, Climb
+from lib.analysis.climbing import SPECULAR
 from lib.analysis.evidence import evidence
 from lib.analysis.explain import Explained, Leave
 from lib.analysis.lamp_lobe import LampLobes
-from lib.analysis.problem import Problem, Result
+from lib.analysis.own_materials import materials
 from lib.analysis.task import Task
 from lib.core.report import Report
 
 MIXES = (
     0.4  # of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
 )
-EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
-
-
-@dataclass
-class Answer:
-    """What was found. problem, result, scale : in the end;  refined : a Refinement, or None
-
-    audit, judged : of all pixels and `explained`, its misfits; None where they were not looked at
-    ascent : of the ladder, None where all is diffuse;  ladder : what it did, for the report
-    why : [Why] photograph and facts do not agree
-    """
-
-    explained: Explained
-    problem: Problem
-    result: Result
-    scale: str
-    audit: Audit | None = None
-    judged: dict | None = None
-    ascent: object = None
-    ladder: dict = field(default_factory=dict)
-    refined: object = None
-    why: list = field(default_factory=list)
-    warnings: list = field(default_factory=list)
-
-    @property
-    def climb(self) -> Climb | None:
-        return self.ascent.climb if self.ascent else None
 
 
 def solve(task: Task, report: Report) -> Answer:
@@ -77,7 +50,7 @@ def _solved(task: Task, report: Report) -> Answer:
     may_refine = task.may_refine and edges is not None
     if may_refine and (edges.is_lost or edges.allowed(task.allowed)):
         # whatever else the photograph might tell would only bend to this
-        answer = _answer(explain.as_given(task.problem, gamma=task.gamma, **options))
+        answer = answered(explain.as_given(task.problem, gamma=task.gamma, **options))
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
         if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
             return answer
@@ -91,7 +64,7 @@ def _solved(task: Task, report: Report) -> Answer:
     explained = explain.without_lobes(first, leave, **options)
     if task.can_look and (wrong := _told_wrong(task, explained)):
         return _named(task, explained.kept(**options), wrong)
-    seen = _answer(explained, *_looked(task, explained)) if task.can_look else None
+    seen = answered(explained, *looked(task, explained)) if task.can_look else None
     things = _things_in_doubt(task, seen) if seen is not None else []
     if why := _something_missing(task, seen, edges, things):
         return replace(seen, why=why)
@@ -103,13 +76,13 @@ def _solved(task: Task, report: Report) -> Answer:
     may_move = may_move and not is_patch and bool(explained.taken or in_doubt(explained.result))
     refined = _by_light(task, explained) if may_move else None
     if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
-        return _answer(explained, refined=refined, why=refined.why)
+        return answered(explained, refined=refined, why=refined.why)
     # where the lamps stand right, lines are no shadows' either
     is_patch |= not may_throw and refined is None and any(thing.outlined and thing.on_plain for thing in things)
     lobed = explained if is_patch else explain.with_lobes(explained, leave, **options)
     explained = explained.kept(**options)
     if not task.can_look:
-        answer = _answer(explained)
+        answer = answered(explained)
         answer.why = _why(task, answer, edges)
         return answer
     plain, in_lobes = task, task.in_lobes(lobed.lobes)
@@ -117,24 +90,24 @@ def _solved(task: Task, report: Report) -> Answer:
     if lobed.lobes and not outdone and (leave.lobes.asked or _suffices(task, explained, in_lobes, lobed)):
         task, explained = in_lobes, lobed
     is_seen = explained is seen.explained
-    audit, judged = (seen.audit, seen.judged) if is_seen else _looked(task, explained)
+    audit, judged = (seen.audit, seen.judged) if is_seen else looked(task, explained)
     if refined is not None and task is plain:
-        return _answer(explained, refined=refined, why=refined.why, ladder=_summary(task, explained.problem, judged))
+        return answered(explained, refined=refined, why=refined.why, ladder=_summary(task, explained.problem, judged))
     if wrong := explain.lamps_told_wrong(explained, leave, **options):
-        answer = _answer(explained, audit, judged, ladder=_summary(task, explained.problem, judged))
+        answer = answered(explained, audit, judged, ladder=_summary(task, explained.problem, judged))
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
         return answer
-    answer = _materials(task, explained, audit, judged, report)
+    answer = materials(task, explained, audit, judged, report, leave)
     ladder = _summary(task, explained.problem, judged) | answer.ladder
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
-        task, answer = in_lobes, _answer(lobed, *_looked(in_lobes, lobed))  # nothing suffices, lobes come nearest
+        task, answer = in_lobes, answered(lobed, *looked(in_lobes, lobed))  # nothing suffices, lobes come nearest
     answer.ladder = ladder
     answer.warnings += [
         f"lamp {lamp!r}: no lobe fits the photograph better than an even lamp"
         for lamp in sorted(task.lobes_unknown - answer.explained.lobes.keys())
     ]
     answer.why = _why(task, answer, edges)
-    if answer.why and answer.climb and not audit.given and not _is_specular(answer.climb):
+    if answer.why and answer.climb and not audit.given and not _all_mirrors(answer.climb):
         answer.ascent, found = None, answer.explained
         answer.problem, answer.result, answer.scale = found.problem, found.result, found.scale
     return answer
@@ -147,7 +120,7 @@ def _begun(task, edges, trace):
     return leave, explain.started(problem, leave, task.gamma, trace)
 
 
-def _is_specular(climb) -> bool:
+def _all_mirrors(climb) -> bool:
     """Mirrors and lobes climbed, no textures: what is not in the model looks like one, and mirrors show it."""
     return bool(climb.on(*SPECULAR)) and not climb.on("textured")
 
@@ -160,7 +133,7 @@ def _suffices(task, explained, in_lobes, lobed) -> bool:
 
 
 def _energy(task, explained):
-    return _audit(task, explained).energy(explained.problem, explained.result)
+    return audit_of(task, explained).energy(explained.problem, explained.result)
 
 
 def _at_once(task, first, leave, may_move, edges) -> Answer | None:
@@ -171,7 +144,7 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
         return None
     rough = Explained(first.problem, first.result, "", given=first)
     given = functools.cache(lambda: rough.without_causes(**task.options))
-    seen = functools.cache(lambda: _answer(given(), *_looked(task, given())))
+    seen = functools.cache(lambda: answered(given(), *looked(task, given())))
     if first.typical >= explain.HOPELESS and (why := _flipped(task, rough)):
         return _named(task, given(), why)
     promised = explain.promises(first, leave)
@@ -179,14 +152,14 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
     if most < enough(first.problem) or promised[explain.OBJECT] == most:
         return None
     if why := _transfer_told_wrong(task, first, leave, promised, given):
-        return _answer(given(), why=why)
+        return answered(given(), why=why)
     if _one_object_promises(task, first, rough, most) and (why := _another_material(task, seen())):
         return replace(seen(), why=why)
     if may_move and _lamp_in_doubt(task, rough, most):
         if why := _something_missing(task, seen(), edges, _things_in_doubt(task, seen())):
             return replace(seen(), why=why)
         if refined := _by_light(task, rough, above=most):
-            return _answer(given(), refined=refined, why=refined.why)
+            return answered(given(), refined=refined, why=refined.why)
     why = _lamps_told_wrong(task, first, leave, promised, given)
     return _named(task, given(), why) if why else None
 
@@ -197,7 +170,7 @@ def _one_object_promises(task, first, rough, most) -> bool:
 
     if unlike.promise(first.problem, first.result, slightly=True) > most:
         return True
-    return strangers.unlike_unfitted(rough, _audit(task, rough)) is not None
+    return strangers.unlike_unfitted(rough, audit_of(task, rough)) is not None
 
 
 def _transfer_told_wrong(task, first, leave, promised, given) -> list:
@@ -231,7 +204,7 @@ def _suffices_alone(task, given, other) -> bool:
 
 def _named(task, explained, why) -> Answer:
     """With what is wrong with the lamps, and things that are missing besides."""
-    return _answer(explained, why=agreement.joined(why, _missing(task, explained, _audit(task, explained))))
+    return answered(explained, why=agreement.joined(why, _missing(task, explained, audit_of(task, explained))))
 
 
 def _flipped(task, explained) -> list:
@@ -259,7 +232,7 @@ def _things_in_doubt(task, answer) -> list:
     flagged = answer.audit.flagged(found.problem, answer.judged)
     if not flagged and not in_doubt(found.result):
         return []
-    things = _things(task, found, answer.audit)
+    things = things_of(task, found, answer.audit)
     behind = {g for thing in things for g in thing.behind}
     energy = lambda groups: sum(answer.judged[g].energy for g in groups if g in answer.judged)
     return things if energy(behind) >= energy(set(flagged) - behind) else []
@@ -293,21 +266,7 @@ def _missing(task, explained, audit) -> list:
     """[Why] of things that the model has not: light that they take may pass for a lamp's."""
     from lib.analysis import strangers
 
-    return strangers.said(_things(task, explained, audit), explained.problem.groups)
-
-
-def _audit(task, explained) -> Audit:
-    return Audit.of(task.audit, explained, task.factors, task.surfaces, task.threshold)
-
-
-def _looked(task, explained) -> tuple[Audit, dict]:
-    """The audit, and its misfits."""
-    audit = _audit(task, explained)
-    return audit, audit.misfits(explained.problem, explained.result)
-
-
-def _answer(explained: Explained, audit=None, judged=None, **more) -> Answer:
-    return Answer(explained, explained.problem, explained.result, explained.scale, audit, judged, **more)
+    return strangers.said(things_of(task, explained, audit), explained.problem.groups)
 
 
 def _summary(task, problem, judged):
@@ -351,81 +310,9 @@ def _by_light(task, explained, above=0.0):
     """The model with the lamp where its light has it, or None. above : of refine.by_light"""
     from lib.analysis import refine
 
-    audit = functools.partial(_audit, task)
+    audit = functools.partial(audit_of, task)
     refined = refine.by_light(task.view(), task.factors, task.found, explained, audit, task.place_sigma_m, above)
     return refined if refined is not None and refined.keeps_parts else None
-
-
-def _materials(task, explained, audit, judged, report) -> Answer:
-    """What is left is the groups' own, where that explains as much as the causes that were taken."""
-    doubtful = audit.given or not explained.is_sure  # what told mirrors throw looks like many a cause
-    flagged = audit.flagged(explained.problem, judged)
-    if not flagged or not explained.taken or explained.lobes or not doubtful:
-        return _of_groups(task, explained, audit, judged, report)
-    bare = explained.without_causes(**task.options)
-    answer = _of_groups(task, bare, *_looked(task, bare), report)
-    if not explained.is_sure:
-        return answer
-    caused = _of_groups(task, explained, audit, judged, report)
-    return caused if _nats(caused) >= _nats(answer) + enough(bare.problem) else answer
-
-
-def _nats(answer) -> float:
-    return evidence(answer.problem, answer.result.at).nats
-
-
-def _of_groups(task, explained, audit, judged, report) -> Answer:
-    """The ladder where a diffuse surface does not explain the groups."""
-    if not audit.flagged(explained.problem, judged):
-        audit.doubt(explained.problem, explained.result, judged)
-        return _answer(explained, audit, judged)
-    if _is_wrong_everywhere(explained, audit, judged):
-        return _answer(explained, audit, judged)
-    with report.excluded("imports"):
-        from lib.analysis import ascent
-
-    done = ascent.ascend(
-        task.view(),
-        task.factors,
-        explained,
-        task.found,
-        audit.gathered,
-        lobe_rays=task.lobe_rays,
-        given=audit.given,
-        threshold=task.threshold,
-        things=_things(task, explained, audit),
-        trace=lambda round, step, fitted: report.trace(
-            round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
-        ),
-        options=task.options,
-    )
-    climb, answer = done.climb, _answer(explained, audit, judged)
-    if not agreement.fits(climb.result) and not audit.given:
-        return answer  # what is wrong is not one material: nothing is made up from it
-    answer.ladder = ascent.summary(done)
-    answer.warnings = ascent.warnings(done)
-    if all(place.rung == "diffuse" for place in climb.places.values()):
-        # the same light, but with what its causes leave unsure, which the ladder takes as they are
-        audit.doubt(explained.problem, explained.result, judged)
-        return answer
-    audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
-    answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
-    return answer
-
-
-def _things(task, explained, audit) -> list:
-    """What stands before surfaces that the model has not. audit : of this fit"""
-    from lib.analysis import strangers
-
-    return audit.once("things", lambda: strangers.things(task.view(), task.factors, explained, audit))
-
-
-def _is_wrong_everywhere(explained, audit, judged):
-    """Nearly every group differs: no material of one of them can be what is wrong."""
-    n_judged = sum(m.judged for m in judged.values())
-    flagged = audit.flagged(explained.problem, judged)
-    everywhere = len(flagged) >= max(SEVERAL, EVERYWHERE * n_judged)
-    return everywhere and not agreement.fits(explained.result) and not audit.given
 
 
 def _why(task, answer: Answer, edges, things=None):
@@ -462,7 +349,7 @@ def _strange(task, answer, is_wrong, things):
     if things is None and sure:
         things = strangers.things(task.view(), task.factors, explained, answer.audit, sure)
     elif things is None:
-        things = _things(task, explained, answer.audit)
+        things = things_of(task, explained, answer.audit)
     return [
         *strangers.said(things, explained.problem.groups),
         *(

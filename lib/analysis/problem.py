@@ -457,5 +457,6 @@ def scale(problem: Problem) -> str:
     """What fixes the scale of the light (SCENE.md 4)."""
     if not np.isnan(problem.emittance[problem.own_lamps]).all():
         return "lamps"
-    named = [g for g in problem.known_groups if problem.groups[g] not in problem.lamps]
+    specular = () if problem.specular is None else problem.specular.groups  # whose diffuse part is known to be none
+    named = [g for g in problem.known_groups if problem.groups[g] not in problem.lamps and g not in specular]
     return "reference" if named else "interreflection"

@@ -46,7 +46,10 @@ def fitted(found: Candidate) -> list[Candidate]:
     problem, taken = found.problem, found.taken
     mixed = {"matrix": problem.transfer.matrix}
     curve = replace(Transfer("gamma", USUAL_GAMMA).as_curve(), **mixed)
-    free = Candidate.of(replace(problem, transfer=curve, fit_transfer=True), taken | {"curve": {}})
+    # specular problems must begin where mirrors and lobes reflect as found
+    begun = lambda transfer: problem.specular and found.start._replace(transfer=transfer, near=None)
+    told = replace(problem, transfer=curve, fit_transfer=True)
+    free = Candidate.of(told, taken | {"curve": {}}, start=begun(curve))
     seen = np.quantile(problem.photograph.display(), (0.01, 0.99))
     function = free.result.state.transfer.bare
     light = function.linear(np.linspace(*seen, 50))
@@ -56,8 +59,9 @@ def fitted(found: Candidate) -> list[Candidate]:
         has_parameters = len(simple.parameters) > 0
         own = simple.kind == problem.transfer.kind and problem.fit_transfer == has_parameters
         if not own and np.abs(_likest(simple, light, shown) - shown).max() < ALIKE:
-            told = replace(problem, transfer=replace(simple, **mixed), fit_transfer=has_parameters)
-            result.append(Candidate.of(told, taken))
+            simple = replace(simple, **mixed)
+            told = replace(problem, transfer=simple, fit_transfer=has_parameters)
+            result.append(Candidate.of(told, taken, start=begun(simple)))
     return result
 
 

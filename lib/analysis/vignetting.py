@@ -60,6 +60,12 @@ def _cause(problem: Problem, at, r2, k=(0.0,) * TERMS) -> CauseTerms:
     return CauseTerms((NAME,) * TERMS, columns, np.ones(TERMS), -np.linalg.solve(_lenses(), k))
 
 
+def left_open(problem: Problem, at, lens: Lens, pixel, k) -> CauseTerms:
+    """What may be added to k where the photograph was divided by it. pixel : (M,) flat, of the tiles"""
+    gain = _means(problem, lens.gain(pixel, k))[:, None]
+    return _cause(replace(problem, gain=gain), at, _means(problem, lens.radius2(pixel)), k)
+
+
 def change(numbers) -> np.ndarray:
     """(TERMS,) of k by the numbers of a fit's terms."""
     return _lenses() @ numbers

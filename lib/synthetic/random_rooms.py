@@ -15,7 +15,7 @@ import numpy as np
 from lib.synthetic.geometry import box, lamp, prism, regular, room, upright
 from lib.synthetic.geometry import moved as displaced
 from lib.synthetic.optics import look, pinhole
-from lib.synthetic.recipe import Recipe, exposed, scaled
+from lib.synthetic.recipe import Recipe, Surface, exposed, scaled
 from lib.synthetic.sight import coarse_view
 
 FREE_PX = 2000  # so many pixels show each free-standing thing of a picture of 640 x 480
@@ -23,6 +23,7 @@ GROUP_PX = 1000  # and so many most groups
 MOST = 0.75  # of the groups
 GROUPS = (10, 16)  # the lamps' included
 ALWAYS = ("floor", "ceiling", "wall")  # groups that every picture shows
+MIRROR = 0.02  # of the picture shows the mirror, at least
 CLEAR_M = 0.14  # between a free-standing thing and all else
 BRIGHTEST = 0.8  # the radiosity that 2 % of the picture exceed
 STEP = 5  # px between the rays that look whether a draw will do
@@ -61,6 +62,34 @@ def lobed_room(seed, *, size=(400, 300)) -> Recipe:
         lobes[group] = tuple((aim / np.linalg.norm(aim)).tolist()), exponent
         lamps[group] = scaled(1 + 0.35 * exponent, E)  # about as much light in all
     return replace(recipe, lamps=lamps, lobes=lobes)
+
+
+def mirrored_room(seed, *, size=(400, 300)) -> Recipe:
+    """A random room with a mirror on a wall, perfect or of a colour; its scene.yaml does not say so."""
+    random = np.random.default_rng(list(f"mirrored-{seed}".encode()))
+    while True:
+        recipe = random_room(f"mirrored-{random.integers(1 << 30)}", size=size)
+        framed = _with_mirror(recipe.polygons)
+        number, _ = coarse_view(framed, recipe.K, size, recipe.T_cam_world, STEP)
+        if np.mean([n >= 0 and framed[n].group == "mirror" for n in number]) > MIRROR:
+            break
+    tint = random.uniform(0.7, 0.95) * random.uniform(0.9, 1, 3) if random.random() < 0.5 else np.ones(3)
+    return replace(
+        recipe,
+        polygons=framed,
+        materials=recipe.materials | {"mirror": (0.0, 0.0, 0.0)},
+        surfaces={"mirror": Surface("mirror", tuple(map(float, np.round(tint, 3))))},
+    )
+
+
+def _with_mirror(polygons) -> tuple:
+    """The front of the largest plate as a mirror, its edges as they were."""
+    plates = [p for p in polygons if p.object.startswith("plate")]
+    middle = np.mean([p.points.mean(axis=0) for p in polygons if p.object.startswith("floor")], axis=0)
+    largest = max(p.area() for p in plates)
+    fronts = [p for p in plates if p.area() > 0.99 * largest]
+    front = max(fronts, key=lambda p: p.normal() @ (middle - p.points.mean(axis=0)))
+    return tuple(replace(p, group="mirror") if p is front else p for p in polygons)
 
 
 # ---- furniture ----

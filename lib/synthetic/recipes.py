@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from lib.synthetic import mirrors_and_gloss, offices, stereo, textured
 from lib.synthetic.random_pairs import random_pair
-from lib.synthetic.random_rooms import lobed_room, random_room, white_room
+from lib.synthetic.random_rooms import lobed_room, mirrored_room, random_room, white_room
 from lib.synthetic.recipe import Recipe
 
 _DIFFUSE = {
@@ -51,6 +51,7 @@ RANDOM = {  # by what stands before the seed
     "small": lambda seed: random_room(seed, size=_SMALL),
     "white": lambda seed: white_room(seed, size=_SMALL),  # <gap in mm>-<seed> and shelves-<seed>: with a narrow gap
     "lobed": lambda seed: lobed_room(seed, size=_SMALL),  # its lamps throw their light in lobes
+    "mirrored": lambda seed: mirrored_room(seed, size=_SMALL),  # a mirror hangs on a wall
     "pair": random_pair,  # stereo, of a size of its own
 }
 

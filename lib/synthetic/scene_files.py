@@ -46,8 +46,9 @@ def synthesise(mi, recipe, opt):
         image.write_png8(opt.out / "left.png", displayed(recipe, B))
     if recipe.mirrors():
         image.write_png16(truth / "mirror.png", mirror_groups(recipe, labels))
-    if opt.gather:
+    if opt.gather or opt.linear:
         image.write_exr(truth / "linear.exr", B)
+    if opt.gather:
         image.write_png16(truth / "object.png", passes.objects)
     contents = {"noise": noise, "materials": true_materials(recipe, pixels)}
     for group, texture in recipe.textures().items():

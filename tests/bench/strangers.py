@@ -26,6 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 COUNTED_PX = 1000
 MITSUBA = ROOT / ".venv-scenes" / "bin" / "python"
 HEAD = "kind             runs conv   median  90 %   worst   unid kinds   95 %  sigma green>6  CPU s   most"
+MIRROR_SETTINGS = ("--linear", "--spp", "64", "--passes", "10", "--variant", "llvm_ad_rgb")
 EXACT_SETTINGS = ("--gather", "--spp", "256", "--passes", "6", "--variant", "llvm_ad_rgb")
 
 
@@ -33,7 +34,8 @@ def room(name, out):
     """The folder of an exact room, made if it is not there."""
     folder = out / "rooms" / name
     if not (folder / "truth" / "materials.json").exists():
-        command = [MITSUBA, ROOT / "stages" / "synthesise.py", "--scene", name, "--out", folder, *EXACT_SETTINGS]
+        settings = MIRROR_SETTINGS if name.startswith("mirrored") else EXACT_SETTINGS
+        command = [MITSUBA, ROOT / "stages" / "synthesise.py", "--scene", name, "--out", folder, *settings]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
     return folder
 
@@ -79,8 +81,10 @@ def scored(build, folder):
             continue
         if got["kind"] != true.get("kind", "diffuse"):
             wrong_kinds.append([group, got["kind"]])
-        sigma = (got.get("sigma") or {}).get("rho_d") or [None] * 3
-        for value, wanted, s in zip(got["rho_d"], true["rho_d"], sigma, strict=True):
+        what = "rho_s" if "mirror" in true.get("kind", "diffuse") else "rho_d"
+        sigma = (got.get("sigma") or {}).get(what) or [None] * 3
+        for value, wanted, s in zip(got[what], true[what], sigma, strict=True):
+            s = s or (0.002 if what == "rho_s" else None)  # a mirror that is called perfect
             relative.append(abs(value / wanted - 1))
             in_sigmas.append(abs(value - wanted) / s if s else 1e9)
     said = json.loads((folder / "truth" / "deviation.json").read_text())

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from lib.given.model.lids import Lids
+from lib.given.transfer import Transfer
 from lib.light import chains as chains_
 from lib.light import factors_file, form_factors, specular
 from lib.light import lamps as lamps_
@@ -148,10 +149,10 @@ def linear_picture(subject, shadow_rays=32, **quality):
         texels.light_map = whole
 
 
-def photograph(linear, *, gamma=2.2, noise=0.004, bits=8, seed=1):
+def photograph(linear, *, gamma=2.2, noise=0.004, bits=8, seed=1, srgb=False):
     """lib.given.image.Photograph of linear light: noise in display values, quantised.
 
-    bits : 0 is linear as an EXR, with noise relative to the light
+    srgb : in place of gamma;  bits : 0 is linear as an EXR, with noise relative to the light
     """
     from lib.given import image
 
@@ -159,7 +160,8 @@ def photograph(linear, *, gamma=2.2, noise=0.004, bits=8, seed=1):
     C = linear.shape[2]
     if bits == 0:
         return image.Photograph(np.maximum(linear * (1 + noise * rng.standard_normal(linear.shape)), 0), 0, True, C)
-    shown = np.clip(linear, 0, 1) ** (1 / gamma) + noise * rng.standard_normal(linear.shape)
+    shown = Transfer("srgb").display(np.clip(linear, 0, 1)) if srgb else np.clip(linear, 0, 1) ** (1 / gamma)
+    shown = shown + noise * rng.standard_normal(linear.shape)
     depth = 2**bits - 1
     return image.Photograph(np.round(np.clip(shown, 0, 1) * depth) / depth, bits, False, C)
 

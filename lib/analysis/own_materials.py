@@ -1,0 +1,153 @@
+"""The groups' own materials, after the causes of the whole picture: the ladder, and what is asked again in its light.
+
+Mirrors and lobes throw light that the diffuse fit does not know. What it took for the camera's doing under that light
+is asked again once they have climbed.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+
+from lib.analysis import agreement, explain, responses, vignetting
+from lib.analysis.answers import Answer, answered, looked, things_of
+from lib.analysis.candidates import Candidate, enough
+from lib.analysis.climbing import SPECULAR, Climb
+from lib.analysis.evidence import evidence
+from lib.analysis.gauss_newton import fit
+
+EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
+ALMOST_ALL = 0.8  # of the energy of all groups: one that has as much may be what is wrong with the others, too
+
+
+def materials(task, explained, audit, judged, report, leave) -> Answer:
+    """What is left is the groups' own, where that explains as much as the causes that were taken."""
+    of_groups = functools.partial(_of_groups, report=report, leave=leave)
+    climbed = lambda explained, *looked: _asked_again(task, of_groups(task, explained, *looked), report, leave)
+    flagged = audit.flagged(explained.problem, judged)
+    if not flagged or not explained.taken or explained.lobes:
+        return climbed(explained, audit, judged)
+    if explained.is_sure and not audit.given:
+        caused = climbed(explained, audit, judged)
+        if not _has_mirrors(caused):
+            return caused
+    bare = explained.without_causes(**task.options)
+    answer = climbed(bare, *looked(task, bare))
+    if not explained.is_sure:
+        return answer  # what told mirrors throw looks like many a cause
+    if audit.given:
+        caused = climbed(explained, audit, judged)
+    return caused if caused.nats >= answer.nats + enough(bare.problem) else answer
+
+
+def _asked_again(task, answer, report, leave) -> Answer:
+    may = leave.response and _has_mirrors(answer)
+    return _under_another_response(task, answer, report, leave) if may else answer
+
+
+def _has_mirrors(answer) -> bool:
+    """Mirrors or lobes have climbed."""
+    return answer.climb is not None and bool(answer.climb.on(*SPECULAR))
+
+
+def _under_another_response(task, answer, report, leave) -> Answer:
+    """The transfer function asked again in the light by way of mirrors and lobes, which hid it from the diffuse fit.
+
+    All is begun anew under the one that is found, and kept if it explains enough more.
+    """
+    before = Candidate(answer.problem, answer.result, evidence(answer.problem, answer.result.at))
+    if responses.promise(before) < enough(answer.problem):
+        return answer
+    functions = (before, *responses.fitted(before))
+    best = responses.simplest(functions)
+    if best is before:
+        return answer
+    explained, function = answer.explained, best.result.state.transfer
+    told = replace(explained.problem, transfer=function, fit_transfer=best.problem.fit_transfer, doubted=None)
+    first = Candidate.of(told, explained.best.taken)
+    result, scale = fit(told, start=first.start, **task.options)
+    taken = explain.Taken("response", best.evidence.nats - before.evidence.nats, {})
+    rivals = {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
+    explained = replace(
+        explained,
+        problem=told,
+        result=result,
+        scale=scale,
+        best=first,
+        rivals=rivals,
+        taken=[*(t for t in explained.taken if t.cause != "response"), taken],
+    )
+    other = _of_groups(task, explained, *looked(task, explained), report, leave)
+    return other if other.climb and other.nats >= answer.nats + enough(answer.problem) else answer
+
+
+def _of_groups(task, explained, audit, judged, report, leave) -> Answer:
+    """The ladder where a diffuse surface does not explain the groups."""
+    if not audit.flagged(explained.problem, judged):
+        audit.doubt(explained.problem, explained.result, judged)
+        return answered(explained, audit, judged)
+    if _is_wrong_everywhere(explained, audit, judged):
+        return answered(explained, audit, judged)
+    with report.excluded("imports"):
+        from lib.analysis import ascent
+
+    done = ascent.ascend(
+        task.view(),
+        task.factors,
+        explained,
+        task.found,
+        audit.gathered,
+        lobe_rays=task.lobe_rays,
+        given=audit.given,
+        threshold=task.threshold,
+        things=things_of(task, explained, audit),
+        trace=lambda round, step, fitted: report.trace(
+            round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
+        ),
+        options=task.options,
+    )
+    climb, answer = done.climb, answered(explained, audit, judged)
+    if not agreement.fits(climb.result) and not audit.given:
+        return answer  # what is wrong is not one material: nothing is made up from it
+    answer.ladder = ascent.summary(done)
+    answer.warnings = ascent.warnings(done)
+    if all(place.rung == "diffuse" for place in climb.places.values()):
+        # the same light, but with what its causes leave unsure, which the ladder takes as they are
+        audit.doubt(explained.problem, explained.result, judged)
+        return answer
+    if climb.on(*SPECULAR):
+        climb = _with_causes(task, explained, climb, leave)
+        done = done._replace(climb=climb)
+    audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
+    answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
+    return answer
+
+
+def _with_causes(task, explained, climb, leave) -> Climb:
+    """The climb with the causes of the camera fitted beside its groups, which climbed with those standing fast, and
+    with what the camera may be as well in every sigma."""
+    problem, at = climb.problem, climb.result.at
+    found = Candidate(problem, climb.result, evidence(problem, at))
+    cause, alone = None, explained.problem.cause and set(explained.problem.cause.names) == {vignetting.NAME}
+    if alone:
+        pixel = climb.tiles.take(np.flatnonzero(climb.tiles.fit)).pixel
+        cause = vignetting.left_open(problem, at, explained.lens, pixel, explained.falloff)
+    doubted = responses.doubted(found) if leave.response else None
+    if cause is None and doubted is None:
+        return climb
+    problem = replace(problem, cause=cause, doubted=doubted)
+    result, scale = fit(problem, start=found.start._replace(near=None), **task.options)
+    return replace(climb, problem=problem, result=result, scale=scale)
+
+
+def _is_wrong_everywhere(explained, audit, judged):
+    """Nearly every group differs, and none by far the most: no material of one of them can be what is wrong."""
+    n_judged = sum(m.judged for m in judged.values())
+    flagged = audit.flagged(explained.problem, judged)
+    everywhere = len(flagged) >= max(SEVERAL, EVERYWHERE * n_judged)
+    if not everywhere or agreement.fits(explained.result) or audit.given:
+        return False
+    energy = [judged[g].energy for g in flagged if g in judged]
+    return max(energy) < ALMOST_ALL * sum(energy)
