@@ -465,6 +465,33 @@ def test_a_mirror_that_shows_nothing_and_is_named(open_scene):
     agree(found)
 
 
+# -- the camera beside mirrors
+
+
+@pytest.mark.scene
+@pytest.mark.parametrize("E", [(9.0,), (3.0,)])
+def test_srgb_beside_a_mirror(room, E):
+    """The mirror's light looked like a lens's shadow under another gamma: 24 % off, 8 sigma, and green."""
+    found, _ = room.found({"picture": ("mirror", 1.0)}, E, transfer="auto", photo={"srgb": True})
+    assert found["transfer"]["kind"] == "srgb" and found["explained"] == [] and found["status"] == "converged"
+    assert kinds(found) == {"picture": "mirror"} and found["scale"] == "lamps"
+    agree(found)
+
+
+@pytest.mark.parametrize("most, tried", [(0.1, True), (0.02, False)])
+def test_a_group_that_is_off_by_far_the_most_is_tried(most, tried):
+    """What it throws may be what is wrong with all others; where none stands out, none is."""
+    from types import SimpleNamespace
+
+    from lib.analysis import own_materials
+    from lib.analysis.misfits import Misfit
+
+    judged = {g: Misfit(excess, excess, 0.001, 50, 9000) for g, excess in enumerate([most] + 12 * [0.01])}
+    audit = SimpleNamespace(flagged=lambda problem, judged: sorted(judged), given={})
+    explained = SimpleNamespace(problem=None, result=SimpleNamespace(correlated=2.0))
+    assert own_materials._is_wrong_everywhere(explained, audit, judged) != tried
+
+
 # -- what the audit's tiles are sure of
 
 

@@ -50,10 +50,9 @@ def disagreements(problem: Problem, result: Result, found: Gathered, asked, riva
     if not len(problem.tile_group) or result.at is None:
         return []
     why = [*_range(found), *(transfer_told(problem, asked, rivals) or _another_gamma(problem, result, asked))]
-    if problem.specular is None:
-        why += lamps(problem, result)
-        if not fits(result):
-            why += _open_model(problem, result)
+    why += lamps(problem, result)
+    if problem.specular is None and not fits(result):
+        why += _open_model(problem, result)
     why.sort(key=lambda w: -(w.evidence_nats or np.inf))
     if not why and not fits(result):
         text = (
@@ -136,7 +135,7 @@ def _lamps_told(problem, result):
     state, nats = result.state, evidence(problem, result.at).nats
     if _freed_by_one_step(problem, result.at) - nats < enough(problem):
         return [], False
-    free = Candidate.of(freed(problem), start=Unknowns(state.rho, state.E, state.transfer))
+    free = Candidate.of(freed(problem), start=Unknowns(state.rho, state.E, state.transfer, state.rho_s))
     gain = free.evidence.nats - nats
     if gain < enough(problem):
         return [], False

@@ -93,11 +93,13 @@ def _solved(task: Task, report: Report) -> Answer:
     audit, judged = (seen.audit, seen.judged) if is_seen else looked(task, explained)
     if refined is not None and task is plain:
         return answered(explained, refined=refined, why=refined.why, ladder=_summary(task, explained.problem, judged))
-    if wrong := explain.lamps_told_wrong(explained, leave, **options):
+    wrong, answer = explain.lamps_told_wrong(explained, leave, **options), None
+    if not wrong or audit.flagged(explained.problem, judged):
+        answer = materials(task, explained, audit, judged, report, leave)
+    if wrong and not (answer and _mirrors_suffice(answer)):  # what mirrors throw may look like other lamps
         answer = answered(explained, audit, judged, ladder=_summary(task, explained.problem, judged))
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
         return answer
-    answer = materials(task, explained, audit, judged, report, leave)
     ladder = _summary(task, explained.problem, judged) | answer.ladder
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
         task, answer = in_lobes, answered(lobed, *looked(in_lobes, lobed))  # nothing suffices, lobes come nearest
@@ -118,6 +120,12 @@ def _begun(task, edges, trace):
     problem = task.problem if edges is None else replace(task.problem, **_unsure(task, edges))
     leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
     return leave, explain.started(problem, leave, task.gamma, trace)
+
+
+def _mirrors_suffice(answer) -> bool:
+    """Mirrors and lobes have climbed, and leave nothing to explain that other lamps might."""
+    climbed = answer.climb is not None and _all_mirrors(answer.climb)
+    return climbed and agreement.fits(answer.result) and not agreement.lamps(answer.problem, answer.result)
 
 
 def _all_mirrors(climb) -> bool:
