@@ -172,8 +172,10 @@ def as_given(problem: Problem, **options) -> Explained:
 
 def started(problem: Problem, leave: Leave, gamma=None, trace=None) -> Candidate | Problem:
     """The rough fit under the given facts; the problem itself where nothing can be learnt from one."""
-    in_vain = leave.vain or not len(problem.tile_group)
-    return problem if in_vain else Candidate.of(problem, trace=trace, gamma=gamma)
+    if leave.vain or not len(problem.tile_group):
+        return problem
+    first = Candidate.of(problem, trace=trace, gamma=gamma)
+    return _from_other_gammas(first) if _ran_away(first) else first
 
 
 def without_lobes(first: Candidate | Problem, leave: Leave, **options) -> Explained:
@@ -350,12 +352,16 @@ def _begun(first: Candidate, leave: Leave) -> Candidate:
     gamma and the reflectances share a valley: dark photographs have another minimum beyond gamma 4, and so have white
     rooms.
     """
-    if not _ran_away(first):
-        promise = first.once("response", responses.promise)
-        if not _searches_gamma(first) or promise < enough(first.problem) or _is_one_object(first, promise):
-            return first
-        if _may_glow(first, leave) and first.once(glow.NAME, glow.promise) > promise:
-            return first  # no gamma is what is wrong
+    promise = first.once("response", responses.promise)
+    if not _searches_gamma(first) or promise < enough(first.problem) or _is_one_object(first, promise):
+        return first
+    if _may_glow(first, leave) and first.once(glow.NAME, glow.promise) > promise:
+        return first  # no gamma is what is wrong
+    return _from_other_gammas(first)
+
+
+def _from_other_gammas(first: Candidate) -> Candidate:
+    """The likeliest of the fits that begin elsewhere, or this one."""
     found = first.result.state.gamma
     starts = STARTS if found > USUAL_GAMMA else STARTS[::-1]
     across = Candidate.of(first.problem, gamma=starts[0])  # from the other side of where the first began
