@@ -127,19 +127,28 @@ def _of_groups(task, explained, audit, judged, report, leave) -> Answer:
 
 def _with_causes(task, explained, climb, leave) -> Climb:
     """The climb with the causes of the camera fitted beside its groups, which climbed with those standing fast, and
-    with what the camera may be as well in every sigma."""
+    with what camera, lamps and edges leave open in every sigma."""
     problem, at = climb.problem, climb.result.at
     found = Candidate(problem, climb.result, evidence(problem, at))
+    tiles = climb.tiles.take(np.flatnonzero(climb.tiles.fit))
     cause, alone = None, explained.problem.cause and set(explained.problem.cause.names) == {vignetting.NAME}
     if alone:
-        pixel = climb.tiles.take(np.flatnonzero(climb.tiles.fit)).pixel
-        cause = vignetting.left_open(problem, at, explained.lens, pixel, explained.falloff)
+        cause = vignetting.left_open(problem, at, explained.lens, tiles.pixel, explained.falloff)
     doubted = responses.doubted(found) if leave.response else None
-    if cause is None and doubted is None:
-        return climb
-    problem = replace(problem, cause=cause, doubted=doubted)
+    problem = replace(problem, cause=cause, doubted=doubted, **_known_of(explained.problem, task.found.tiles, tiles))
     result, scale = fit(problem, start=found.start._replace(near=None), **task.options)
     return replace(climb, problem=problem, result=result, scale=scale)
+
+
+def _known_of(before, gathered, tiles) -> dict:
+    """How unsure light and edges are, of the tiles of a climb: as of the gathered ones that they are."""
+    first = {int(p): k for k, p in enumerate(gathered.pixel[gathered.start[:-1]])}
+    seen_at_once = (tiles.chain == 0) & (tiles.lobe < 0)
+    own = np.array([first.get(int(p), -1) for p in tiles.pixel[tiles.start[:-1]]], int)
+    own[~seen_at_once] = -1
+    taken = lambda values: np.where((own >= 0).reshape(-1, *[1] * (values.ndim - 1)), values[own], 0)
+    edges = None if before.edge_noise is None else taken(before.edge_noise)
+    return {"unsure": tuple((dD, taken(dD_tile)) for dD, dD_tile in before.unsure), "edge_noise": edges}
 
 
 def _is_wrong_everywhere(explained, audit, judged):
