@@ -178,13 +178,17 @@ def vignetting(case, light):
     x, y = np.meshgrid(np.arange(W) - (W - 1) / 2, np.arange(H) - (H - 1) / 2)
     tangent = np.hypot(x, y) / np.hypot((W - 1) / 2, (H - 1) / 2) * np.tan(np.radians(37))
     problem, tiles = _problem(case, (light / (1 + tangent**2)[..., None] ** 2) ** (1 / case.gamma))
-    lens, usual = Lens((case.camera.K[0, 2], case.camera.K[1, 2]), (W, H)), own.TERMS
+    lens, usual, spreads = Lens((case.camera.K[0, 2], case.camera.K[1, 2]), (W, H)), own.TERMS, own.SPREADS
     for terms in (0, 1, 2, 3, 4):
-        began, own.TERMS = time.process_time(), terms
+        own.TERMS = terms
+        own.SPREADS = tuple((s[0],) * (terms - usual) + s[max(usual - terms, 0) :] for s in spreads)
+        own._lenses.cache_clear()
+        began = time.process_time()
         found = Candidate.of(problem)
         found = own.fitted(found, lens, tiles.pixel) if terms else found
         yield "vignetting", f"{terms} terms", time.process_time() - began, case.errors(found.result.state)[0]
-    own.TERMS = usual
+    own.TERMS, own.SPREADS = usual, spreads
+    own._lenses.cache_clear()
 
 
 def matrix(case, light):
