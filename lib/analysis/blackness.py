@@ -13,7 +13,6 @@ import numpy as np
 from lib.analysis.candidates import enough
 from lib.analysis.task import Task
 
-BLACK = 2 / 255 + 1e-9  # display; of `trust`
 MOSTLY = 0.9  # of a group's pixels
 COUNTED = 0.002  # of the picture: what is smaller throws little light
 MOST = 3  # groups that are tried as mirrors, the largest first
@@ -28,7 +27,7 @@ def groups(task: Task) -> list:
         return []
     view = task.view()
     counted = np.where(view.facet >= 0, np.asarray(view.model.facet_group)[view.facet], -1)
-    black = (view.photograph.values <= BLACK).all(axis=2)
+    black = view.photograph.black
     share = {g: black[counted == g].mean() for g in dark if (counted == g).mean() >= COUNTED}
     found = [g for g, part in share.items() if part >= MOSTLY]
     return sorted(found, key=lambda g: -visible[g])
@@ -40,16 +39,18 @@ def solved(task: Task, dark, solve):
     solve : (task) -> Answer.  Where it is not clear which, every sigma contains the other.
     """
     black = np.isin(np.arange(len(task.problem.groups)), dark)
-    task = replace(task, problem=replace(task.problem, black=black))
-    best, around = solve(task), task.around
+    surfaces = task.surfaces
+    best = solve(_with(task, black, surfaces))
     for g in dark[:MOST]:
         if best.refined is not None:
             break  # all is made again
         name = task.problem.groups[g]
-        as_mirror = replace(task, surfaces=task.surfaces | {name: "coloured_mirror"}, around=around)
-        other = solve(as_mirror)
+        as_mirror = surfaces | {name: "coloured_mirror"}
+        other = solve(_with(task, black, as_mirror))
         if other.refined is not None:
             return other
+        if other.climb is None:
+            continue  # something else is wrong, and was named before any mirror was traced
         gain, least = other.nats - best.nats, enough(best.problem)
         if other.why and not best.why:
             gain = -least
@@ -59,10 +60,16 @@ def solved(task: Task, dark, solve):
             place = other.climb.places[g]
             place.given, place.blind = False, True
             place.why = f"black where light falls on it; as a mirror it explains the others by {gain:.0f} nats more"
-            best, task = other, as_mirror
+            best, surfaces = other, as_mirror
         elif gain > -least and _contain(best, other):
             best.warnings.append(f"group {name!r} is black or a mirror that shows the dark: every sigma contains both")
     return best
+
+
+def _with(task: Task, black, surfaces) -> Task:
+    """The task with these groups black and these kinds told, also where it looks around an open model."""
+    around = task.around and (lambda: _with(task.around(), black, surfaces))
+    return replace(task, problem=replace(task.problem, black=black), surfaces=surfaces, around=around)
 
 
 def _contain(answer, other) -> bool:

@@ -112,8 +112,8 @@ def pure(photograph, facet):
         return usable & (values > 0).all(axis=2)
     share = lambda clipped: cv2.blur(clipped.astype(np.float32), (5, 5)) > photograph.spoilt_share + 1e-6
     saturated = (values >= 250 / 255 - 1e-9).any(axis=2)
-    black = (values <= 2 / 255 + 1e-9).all(axis=2)
-    return usable & ~(share(black) if photograph.noisy else black) & ~share(saturated)
+    black = share(photograph.black) if photograph.noisy else photograph.black
+    return usable & ~black & ~share(saturated)
 
 
 def _direct(surface, emitters, n_lamps, p, side, start, sampling):

@@ -129,7 +129,7 @@ def _with_causes(task, explained, climb, leave) -> Climb:
     """The climb with the causes of the camera fitted beside its groups, which climbed with those standing fast, and
     with what camera, lamps and edges leave open in every sigma."""
     problem, at = climb.problem, climb.result.at
-    found = Candidate(problem, climb.result, evidence(problem, at))
+    found = Candidate(problem, climb.result, None)  # only where it stands is asked for
     tiles = climb.tiles.take(np.flatnonzero(climb.tiles.fit))
     cause, alone = None, explained.problem.cause and set(explained.problem.cause.names) == {vignetting.NAME}
     if alone:

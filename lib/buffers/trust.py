@@ -105,8 +105,8 @@ def _display(photograph):
     if photograph.linear:
         bright = np.percentile(values, 99) if values.size else 1.0
         display = np.clip(values / max(bright, 1e-300), 0, 4) ** (1 / 2.2)
-        return display, (values <= 0).all(axis=2), np.zeros(values.shape[:2], bool)
-    return values, (values <= 2 / 255 + 1e-9).all(axis=2), (values >= 250 / 255 - 1e-9).any(axis=2)
+        return display, photograph.black, np.zeros(values.shape[:2], bool)
+    return values, photograph.black, (values >= 250 / 255 - 1e-9).any(axis=2)
 
 
 def _local_mean(planes, labels, steps):

@@ -26,6 +26,9 @@ MOST_CHANNELS = 8  # of an EXR
 OTHER_COLOURS = ("CMYK", "LAB", "YCbCr", "HSV")  # modes of Pillow that are no R, G, B. A JPEG's YCbCr comes as RGB
 
 
+BLACK = 2 / 255 + 1e-9  # display
+
+
 @dataclass(frozen=True, eq=False)
 class Photograph:
     """A photograph as a stage reads it.
@@ -46,6 +49,11 @@ class Photograph:
     def display(self) -> np.ndarray:
         """(H, W, C) display values in [0, 1]."""
         return display_of_linear(self.values) if self.linear else self.values
+
+    @property
+    def black(self) -> np.ndarray:
+        """(H, W) bool: no light, or so little that a displayed value says nothing of it."""
+        return (self.values <= (0 if self.linear else BLACK)).all(axis=2)
 
     @cached_property
     def noisy(self) -> bool:
