@@ -458,6 +458,18 @@ def test_black_or_a_mirror_is_said(open_scene, picture):
     assert any("'picture' is black or a mirror" in line for line in report["warnings"])
 
 
+@pytest.mark.scene
+def test_lobes_that_have_all_come_back_leave_no_light(tmp_path):
+    """A wall took a lobe for the mirror's light and came back; the next round looked for that lobe: a traceback."""
+    objects = rooms.room() | rooms.LAMP | PICTURE
+    objects["room"] = [wall for wall in objects["room"] if wall[0] not in ("east", "south")]
+    fine = Room(tmp_path, objects, look((5.8, 1.4, 1.3), (0, 1.5, 1.2), size=(192, 144), focal=180.0))
+    found, report = fine.fit(photograph(black(fine)), E, transfer="auto")
+    agree(found)
+    assert kinds(found) == {"picture": "coloured_mirror"} and not found["groups"]["picture"]["identified"]
+    assert any("'picture' is not identified" in line for line in report["warnings"])
+
+
 def test_a_mirror_that_shows_nothing_and_is_named(open_scene):
     """Said to be a mirror, its light is in the balance, and all others are found."""
     found, _ = open_scene.fit(photograph(black(open_scene)), E, transfer=KNOWN, surfaces={"picture": "mirror"})

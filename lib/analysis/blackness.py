@@ -60,6 +60,7 @@ def solved(task: Task, dark, solve):
             place = other.climb.places[g]
             place.given, place.blind = False, True
             place.why = f"black where light falls on it; as a mirror it explains the others by {gain:.0f} nats more"
+            other.warnings.append(f"group {name!r} is not identified: {place.why}; its own pixels show nothing")
             best, surfaces = other, as_mirror
         elif gain > -least and _contain(best, other):
             best.warnings.append(f"group {name!r} is black or a mirror that shows the dark: every sigma contains both")

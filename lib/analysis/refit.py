@@ -46,7 +46,11 @@ def refit(site: Site, here: Climb, options, trace=None) -> Climb:
     result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
     trace("last", result)
     found, patterns = misfits.audit(site.subcell, problem, result, tiles, None, textured)
-    return replace(here, problem=problem, result=result, scale=scale, tiles=tiles, misfits=found, patterns=patterns)
+    # groups that have come back leave no mirror behind
+    light = {"finish": None, "traced": None}
+    return replace(
+        here, problem=problem, result=result, scale=scale, tiles=tiles, misfits=found, patterns=patterns, **light
+    )
 
 
 class _SpecularFit:
