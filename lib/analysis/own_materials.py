@@ -110,6 +110,8 @@ def _of_groups(task, explained, audit, judged, report, leave) -> Answer:
     )
     climb, answer = done.climb, answered(explained, audit, judged)
     if not agreement.fits(climb.result) and not audit.given:
+        if agreement.fits(explained.result):
+            audit.doubt(explained.problem, explained.result, judged)
         return answer  # what is wrong is not one material: nothing is made up from it
     answer.ladder = ascent.summary(done)
     answer.warnings = ascent.warnings(done)
