@@ -78,6 +78,21 @@ def test_sigma_is_honest_at_10_percent_noise(seed):
     assert abs(result.state.gamma - 2.0) < 4 * result.sigma_gamma
 
 
+def test_half_of_a_group_of_another_material_is_settled_soon(monkeypatch):
+    """Huber's weights follow slowly, a hundred steps in one direction: the steps go on farther, to the same end."""
+    problem, rho, _ = made(COLOURS, noise=0.01, tiles=12)
+    pixels = problem.pixels.copy()
+    for tile in np.flatnonzero(problem.tile_group == 2)[::2]:
+        pixels[problem.start[tile] : problem.start[tile + 1]] *= 0.3
+    mixed = replace(problem, pixels=pixels)
+    options = {"finish": False, "tolerance": 1e-4, "max_iterations": 200}
+    soon = gauss_newton.gauss_newton(mixed, **options)
+    monkeypatch.setattr(gauss_newton, "DOUBLINGS", 0)
+    late = gauss_newton.gauss_newton(mixed, **options)
+    assert soon.converged and soon.iterations < 30 < 80 < late.iterations
+    np.testing.assert_allclose(soon.state.rho, late.state.rho, atol=2e-4)
+
+
 def test_a_group_never_seen_is_found_by_the_light_it_gives():
     """Without noise its light on the others tells it, whatever the prior says."""
     problem, rho, _ = made(COLOURS, unseen=(3,))

@@ -218,6 +218,16 @@ def test_a_function_that_changes_nothing_to_speak_of_is_not_taken():
     assert responses.simplest([simple, other]) is other and responses.unresolved([simple, other], simple) == 0
 
 
+def test_a_curve_is_fitted_only_where_it_may_win():
+    """sRGB has no free number and is asked first: a curve that could only be as good costs a fit for nothing."""
+    found = Candidate.of(photographed(srgb_from_linear)[0])
+    promised = responses.promise(found)
+    assert [c.kind for c in responses.fitted(found, promised)] == ["srgb"]
+    film = Candidate.of(photographed(lambda light: 0.9 * light**0.55 / (1 - 0.1 * light))[0])
+    assert "curve" in {c.kind for c in responses.fitted(film, responses.promise(film))}
+    assert {c.kind for c in responses.fitted(found)} >= {"curve", "srgb"}
+
+
 def photographed(shown, noise=0.01, seed=1, **more):
     """A problem whose photograph went through `shown`, its reflectances, and its light."""
     problem, rho, b = made(COLOURS, noise=noise, seed=seed, transfer="linear", **more)

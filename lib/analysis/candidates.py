@@ -18,7 +18,8 @@ NATS = 10.0
 NATS_PER_TILE = 0.02 / 9
 MIXING = 6  # free numbers of a camera that mixes colours
 USUAL = 3  # free numbers that an explanation has more
-ROUGH = {"tolerance": 1e-3, "max_iterations": 60}  # of fits that are only compared; valleys of white rooms are long
+# Of fits that are only compared. Valleys of white rooms are long; sixty steps that bring less leave one nat at most
+ROUGH = {"tolerance": 1e-3, "max_iterations": 60, "gain": 0.1}
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ class Candidate:
 
     def is_worth(self, other: Candidate) -> bool:
         """It beats the other by enough, as many free numbers as it has more."""
-        more = max(self.complexity - other.complexity, 0) or USUAL
+        more = self.complexity - other.complexity
+        more = USUAL if more == 0 else max(more, 0)
         return self.evidence.nats - other.evidence.nats >= enough(other.problem, more)
 
 

@@ -273,8 +273,12 @@ class Equations:
 
     def cost(self, weight):
         """Weighted sum of squares, (T, C) weights, and the prior's share."""
+        return self.cost_of(weight * self.residual**2)
+
+    def cost_of(self, misfit):
+        """Sum of what the tiles' residuals (T, C) cost, and the prior's share."""
         gradient, H = self.prior()
-        return float((weight * self.residual**2).sum() + gradient @ np.linalg.lstsq(H, gradient, rcond=1e-12)[0])
+        return float(misfit.sum() + gradient @ np.linalg.lstsq(H, gradient, rcond=1e-12)[0])
 
 
 def smooth(n):

@@ -38,6 +38,7 @@ ALMOST = (
 ALONE = (
     0.5  # of what a cause brings, that lamps alone promise at least where they are wrong: .8 to 1, right ones to .34
 )
+LIGHT_KNOWN_TO = 3e-4  # display: right lamps that were set free changed a white room by 2.1e-4, ones 3 % off by 5.2e-4
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
 
@@ -63,8 +64,7 @@ class Explained:
     @property
     def is_sure(self):
         """No material could bring as much: the causes are taken even where groups are no diffuse ones."""
-        nats = sum(taken.nats for taken in self.taken)
-        return not self.taken or nats >= NATS + SURE_PER_TILE * len(self.problem.tile_group)
+        return not self.taken or sum(taken.nats for taken in self.taken) >= _surely(self.problem)
 
     def without_causes(self, **options) -> Explained:
         """The fit under the given facts. options : of gauss_newton.gauss_newton"""
@@ -273,6 +273,8 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
     causes = [t for t in found.taken if not (t.cause == "response" and best.kind == "srgb")]
     if gain < as_many and (gain < -least or len(taken) >= len(causes)):
         return []
+    if len(taken) >= len(causes) and _alike(free, best):
+        return []
     result, _ = fit(free.problem, start=free.start, **options)
     if not fits(result):
         return []  # what is wrong is something else, to which the lamps bend too
@@ -280,6 +282,11 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
     if gain < 0 or matrix.NAME not in spared:  # the camera may mix colours, and have the lamps so
         told = replace(told, emittance=best.problem.transfer.mixed(told.emittance))
     return lamps_of(told, result, gain, spared if gain < as_many else ())
+
+
+def _alike(one: Candidate, other: Candidate) -> bool:
+    """Their pictures differ by less than a white room's light is known to."""
+    return np.sqrt(np.mean((one.evidence.residual - other.evidence.residual) ** 2)) < LIGHT_KNOWN_TO
 
 
 def _enough_of_lamps(problem: Problem) -> float:
@@ -336,10 +343,16 @@ def _lobed(base: Candidate, lobes: LampLobes, hopeless) -> Candidate | None:
     hopeless : nothing else explains the photograph: a lobe may, even where light that is uneven does not
     """
     uneven = _uneven(base, lobes)
-    tries = hopeless or lobes.asked or uneven.is_worth(base)
-    if not tries or not lobes.asked and _is_one_object(base, uneven.evidence.nats - base.evidence.nats):
+    gain = uneven.evidence.nats - base.evidence.nats
+    tries = hopeless or lobes.asked or gain >= _surely(base.problem)
+    if not tries or not lobes.asked and _is_one_object(base, gain):
         return None
     return lamp_lobe.begun(base, uneven, lobes)
+
+
+def _surely(problem: Problem) -> float:
+    """Nats that nothing brings which only bends to a thing, a mirror or a lobe."""
+    return NATS + SURE_PER_TILE * len(problem.tile_group)
 
 
 def _uneven(base: Candidate, lobes: LampLobes) -> Candidate:
@@ -387,9 +400,9 @@ def _climbed(best: Candidate, leave: Leave):
         tried |= wanted
         candidates = {}
         if "response" in wanted:
-            functions = (best, *responses.fitted(best))
+            functions = (best, *responses.fitted(best, promised["response"] if leave.response else np.inf))
             candidates["response"] = _settled(responses.simplest(functions), best, leave) if leave.response else best
-            errors = responses.unresolved(functions, candidates["response"])
+            errors = responses.unresolved(functions, candidates["response"], promised["response"])
         if "vignetting" in wanted:
             shadow = _settled(_vignetted(best, leave), best, leave)
             candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
@@ -457,7 +470,7 @@ def _searches_gamma(found: Candidate) -> bool:
 
 def _promising(found: Candidate, leave: Leave, tried) -> dict:
     """{cause: nats} of the causes that one step promises enough of."""
-    more = {matrix.NAME: MIXING}
+    more = {matrix.NAME: MIXING, "response": 0}  # sRGB has no free number
     promises = _promises(found, leave, tried)
     held = {cause: nats for cause, nats in promises.items() if nats >= enough(found.problem, more.get(cause, USUAL))}
     return {} if held and _is_one_object(found, max(held.values())) else held

@@ -7,17 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from lib.analysis.equations import Equations, Layout, Unknowns
-from lib.analysis.problem import Problem, Result, rmse, scale, weights
+from lib.analysis.problem import Problem, Result, huber, rmse, scale, variance, weights
 from lib.analysis.start import initialise
 from lib.analysis.transport import TileLight
 from lib.analysis.uncertainty import uncertainty
 
 TRIES = 12  # at a damping ten times larger each, until a step lowers the cost
 UNBIASED_STEPS = 8
+PARALLEL = 0.9  # cosine between two steps, from which the second goes on farther;  and this much of the first's length
+LASTING = 0.5
+DOUBLINGS = 6
+DAMPED = 0.01  # damping from which a step says nothing of what is left to gain
 
 
 def gauss_newton(
-    problem: Problem, *, gamma=None, max_iterations=30, tolerance=1e-5, trace=None, start=None, finish=True
+    problem: Problem, *, gamma=None, max_iterations=30, tolerance=1e-5, gain=0.0, trace=None, start=None, finish=True
 ) -> Result:
     """Levenberg-Marquardt with bounds and Huber weights, then a few steps that take away a bias.
 
@@ -27,6 +31,7 @@ def gauss_newton(
 
     gamma : where an unknown one begins, else at the problem's
     start : Unknowns to begin with instead of eq. 4.3, as specular problems must; bends begin at 0
+    gain : of the cost (chi2), below which a step is the last, however long it is
     finish : False: neither the last steps nor the uncertainty (on the way to a better problem)
     trace : called after each iteration with iteration, image_rmse, state
     """
@@ -37,7 +42,7 @@ def gauss_newton(
         start = Unknowns(*initialise(problem, transfer), transfer)
     at = Equations.begun(problem, light, layout, _begun(problem, layout, start))
     solvable = layout.size > 0 and len(problem.tile_group) > 0
-    at, converged, iteration = _least_squares(problem, at, max_iterations if solvable else 0, tolerance, trace)
+    at, converged, iteration = _least_squares(problem, at, max_iterations if solvable else 0, tolerance, gain, trace)
     converged = converged or layout.size == 0
     if finish and problem.halves and converged and solvable:
         at, steps = _unbiased(problem, at, tolerance)
@@ -57,10 +62,10 @@ def _begun(problem, layout, start: Unknowns) -> Unknowns:
     return start._replace(transfer=transfer, bend=bend, cause=np.zeros(layout.cause) if layout.cause else None)
 
 
-def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
+def _least_squares(problem, at: Equations, max_iterations, tolerance, gain, trace):
     """Equations at the least squares, whether the last step was small enough, and the number of iterations."""
-    low, high = at.layout.bounds(at.state.transfer)
-    damping, converged, iteration = 1e-3, False, 0
+    bounds = at.layout.bounds(at.state.transfer)
+    damping, converged, iteration, last = 1e-3, False, 0, None
     while True:
         if trace:
             trace(iteration=iteration, image_rmse=rmse(problem, at.residual), state=at.state)
@@ -73,17 +78,47 @@ def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
         H = J.T @ (weight.reshape(-1, 1) * J) + prior
         g = J.T @ (weight * at.residual).reshape(-1) + gradient
         theta, cost = at.layout.pack(at.state), at.cost(weight)
-        for _ in range(TRIES):
-            step = _bounded_step(H, g, theta, low, high, damping)
+        for tried in range(TRIES):
+            step = _bounded_step(H, g, theta, *bounds, damping)
             trial = at.moved(theta + step)
-            if trial.cost(weight) <= cost * (1 + 1e-9) + 1e-12:
-                damping = max(damping / 10, 1e-9)
+            left = trial.cost(weight)
+            if left <= cost * (1 + 1e-9) + 1e-12:
+                damping = damping if tried else max(damping / 10, 1e-9)
                 break
             damping = max(damping, 1e-6) * 10
         else:
             return at, bool(_relative(step, theta) < 100 * tolerance), iteration
-        at = trial
-        converged = bool(_relative(step, theta) < tolerance)
+        base = step
+        if _goes_on(last, step, theta):
+            step, trial = _farther(problem, at, step, trial, bounds)
+        converged = _relative(step, theta) < tolerance or (cost - left < gain and damping < DAMPED)
+        at, last = trial, base
+
+
+def _goes_on(last, step, theta):
+    """Two steps have much the same direction and length: so it will go on, as where Huber's weights follow slowly."""
+    if last is None:
+        return False
+    a, b = (s / np.maximum(np.abs(theta), 0.05) for s in (last, step))
+    length = np.linalg.norm(a)
+    return bool(a @ b > PARALLEL * length * np.linalg.norm(b) and np.linalg.norm(b) > LASTING * length)
+
+
+def _farther(problem, at: Equations, step, trial: Equations, bounds):
+    """(step, Equations): twice as far in the same direction, and twice again, while Huber's own cost falls."""
+    theta, spread = at.layout.pack(at.state), variance(problem, at.residual)
+    cost = trial.cost_of(huber(spread, trial.residual))
+    low, high = bounds
+    for _ in range(DOUBLINGS):
+        far = theta + 2 * step
+        if (far < low).any() or (far > high).any():
+            break
+        other = trial.moved(far)
+        there = other.cost_of(huber(spread, other.residual))
+        if there >= cost:
+            break
+        step, trial, cost = 2 * step, other, there
+    return step, trial
 
 
 def _relative(step, theta):

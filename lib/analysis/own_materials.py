@@ -58,9 +58,10 @@ def _under_another_response(task, answer, report, leave) -> Answer:
     All is begun anew under the one that is found, and kept if it explains enough more.
     """
     before = Candidate(answer.problem, answer.result, evidence(answer.problem, answer.result.at))
-    if responses.promise(before) < enough(answer.problem):
+    promised = responses.promise(before)
+    if promised < enough(answer.problem):
         return answer
-    functions = (before, *responses.fitted(before))
+    functions = (before, *responses.fitted(before, promised))
     best = responses.simplest(functions)
     if best is before:
         return answer

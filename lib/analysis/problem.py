@@ -26,6 +26,7 @@ MISFIT = 4.0  # residuals so many times what noise explains: something told to t
 # off by in JPEGs of quality 80
 EDGE_SHARE = 1 / 8
 LEAST_NOISE = 0.3 / 255  # display, of one pixel: what rounding to 8 bits leaves
+FAR_OUT = 2.5  # standard deviations of a tile, beyond which its residual costs what it is, not its square
 OF_MEDIAN = 1.5  # variance of the median of noise over that of its mean
 
 
@@ -423,14 +424,23 @@ def display_residual(problem: Problem, B, transfer: Transfer):
 def weights(problem: Problem, residual):
     """(T, C) weights of the tiles: one over their variance.
 
-    Pixel noise falls with the tile's size; what the model lacks does not. Residuals far out (a texture, a reflection
-    that the model does not know) are held down (Huber at 2.5).
+    Residuals far out (a texture, a reflection that the model does not know) are held down (Huber).
     """
+    spread = variance(problem, residual)
+    return np.minimum(1, FAR_OUT * np.sqrt(spread) / np.maximum(np.abs(residual), 1e-12)) / spread
+
+
+def variance(problem: Problem, residual):
+    """(T, C) of the tiles. Pixel noise falls with the tile's size; what the model lacks does not."""
     typical = 1.4826 * float(np.median(np.abs(residual))) if residual.size else 0.0
-    variance = problem.tile_noise + min(max(typical, 5e-4), 0.05) ** 2
-    if problem.variance is not None:
-        variance = variance + problem.variance
-    return np.minimum(1, 2.5 * np.sqrt(variance) / np.maximum(np.abs(residual), 1e-12)) / variance
+    found = problem.tile_noise + min(max(typical, 5e-4), 0.05) ** 2
+    return found if problem.variance is None else found + problem.variance
+
+
+def huber(spread, residual):
+    """(T, C) chi2 of residuals of such a variance; far out it grows by their size alone."""
+    z = np.abs(residual) / np.sqrt(spread)
+    return np.where(z <= FAR_OUT, z**2, FAR_OUT * (2 * z - FAR_OUT))
 
 
 def group_mean(problem: Problem, values):

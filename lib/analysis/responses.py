@@ -1,8 +1,8 @@
 """Which transfer function the photograph supports: the simplest of gamma, sRGB and a free curve.
 
 Gamma is fitted first, roughly. One step from there towards a curve tells what more freedom would bring to the tiles
-that are held out; only where that is worth something a curve is fitted, and sRGB or gamma again where the curve found
-is like them. A simpler function wins unless a curve beats it by more than chance. A function that scene.yaml names is
+that are held out; only where that is worth something sRGB is fitted, which has no free number, and a curve where that
+may win. A simpler function wins unless a curve beats it by more than chance. A function that scene.yaml names is
 never replaced; what beats it is its rival.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lib.analysis.candidates import Candidate
+from lib.analysis.candidates import Candidate, enough
 from lib.analysis.equations import smooth
 from lib.analysis.evidence import promised
 from lib.analysis.facts import USUAL_GAMMA
@@ -21,7 +21,8 @@ from lib.analysis.uncertainty import RESOLVED
 from lib.given.tone_curve import KNOTS
 from lib.given.transfer import Metric, Transfer
 
-ALIKE = 0.02  # display: a curve that is so near to a simpler function may be that one
+ALIKE = 0.02  # display: a curve that is so near to a gamma may be one
+LIKELY = 0.6  # of the nats that a curve must bring, which a step must promise: they differ by a tenth
 
 
 def promise(found: Candidate) -> float:
@@ -41,8 +42,14 @@ def under_srgb(found: Candidate) -> Candidate:
     return Candidate.of(replace(found.problem, transfer=srgb, fit_transfer=False), found.taken, start=found.start)
 
 
-def fitted(found: Candidate) -> list[Candidate]:
-    """The fit with a free curve, then those under simpler functions that the curve is like."""
+def fitted(found: Candidate, promised=np.inf) -> list[Candidate]:
+    """The fit under sRGB, which has no free number; with a free curve where so many nats promised let it win; and with
+    a gamma where the curve is like one.
+    """
+    result = [] if found.kind == "srgb" else [under_srgb(found)]
+    brought = max((c.evidence.nats - found.evidence.nats for c in result), default=0.0)
+    if promised - max(brought, 0.0) < LIKELY * enough(found.problem, len(KNOTS) - found.complexity):
+        return result
     problem, taken = found.problem, found.taken
     mixed = {"matrix": problem.transfer.matrix}
     curve = replace(Transfer("gamma", USUAL_GAMMA).as_curve(), **mixed)
@@ -50,27 +57,20 @@ def fitted(found: Candidate) -> list[Candidate]:
     begun = lambda transfer: problem.specular and found.start._replace(transfer=transfer, near=None)
     told = replace(problem, transfer=curve, fit_transfer=True)
     free = Candidate.of(told, taken | {"curve": {}}, start=begun(curve))
-    seen = np.quantile(problem.photograph.display(), (0.01, 0.99))
-    function = free.result.state.transfer.bare
-    light = function.linear(np.linspace(*seen, 50))
-    shown = function.display(light)
-    result = [free]
-    for simple in (Transfer("srgb"), Transfer("gamma", USUAL_GAMMA)):
-        has_parameters = len(simple.parameters) > 0
-        own = simple.kind == problem.transfer.kind and problem.fit_transfer == has_parameters
-        if not own and np.abs(_likest(simple, light, shown) - shown).max() < ALIKE:
-            simple = replace(simple, **mixed)
-            told = replace(problem, transfer=simple, fit_transfer=has_parameters)
-            result.append(Candidate.of(told, taken, start=begun(simple)))
-    return result
+    gamma = replace(Transfer("gamma", USUAL_GAMMA), **mixed)
+    own = problem.transfer.kind == "gamma" and problem.fit_transfer
+    if not own and _is_like_a_gamma(free.result.state.transfer.bare, problem):
+        result.append(Candidate.of(replace(problem, transfer=gamma, fit_transfer=True), taken, start=begun(gamma)))
+    return [free, *result]
 
 
-def _likest(simple: Transfer, light, shown):
-    """What the simple function shows of the light, with the gamma that suits best."""
-    if simple.kind == "gamma":
-        slope = np.polyfit(np.log(np.maximum(shown, 1e-6)), np.log(np.maximum(light, 1e-12)), 1)[0]
-        simple = simple.moved([np.clip(slope, *simple.bounds)])
-    return simple.display(light)
+def _is_like_a_gamma(function: Transfer, problem) -> bool:
+    """Over the light that the photograph shows."""
+    light = function.linear(np.linspace(*np.quantile(problem.photograph.display(), (0.01, 0.99)), 50))
+    shown, gamma = function.display(light), Transfer("gamma", USUAL_GAMMA)
+    slope = np.polyfit(np.log(np.maximum(shown, 1e-6)), np.log(np.maximum(light, 1e-12)), 1)[0]
+    like = gamma.moved([np.clip(slope, *gamma.bounds)])
+    return bool(np.abs(like.display(light) - shown).max() < ALIKE)
 
 
 def simplest(candidates) -> Candidate:
@@ -82,9 +82,14 @@ def simplest(candidates) -> Candidate:
     return best
 
 
-def unresolved(candidates, best: Candidate) -> float:
-    """Nats that functions bring that change the picture by less than light is known to: so much errors of it bring."""
+def unresolved(candidates, best: Candidate, promised=None) -> float:
+    """Nats that functions bring that change the picture by less than light is known to: so much errors of it bring.
+
+    candidates : the first is where they began;  promised : by a curve from there, where none was fitted
+    """
     bent = [c.evidence.nats - best.evidence.nats for c in candidates if not _is_resolved(c, best)]
+    if promised is not None and all(c.kind != "curve" for c in candidates):
+        bent.append(promised - (best.evidence.nats - candidates[0].evidence.nats))
     return max(bent, default=0.0)
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.analysis import misfits, unlike
-from lib.analysis.agreement import fits, in_doubt
+from lib.analysis.agreement import DOUBT, fits
 from lib.analysis.audit import Audit
 from lib.analysis.candidates import enough
 from lib.analysis.equations import Unknowns
@@ -49,6 +49,7 @@ BESIDE = 0.01  # of the picture's width: lines so near to an edge of the model m
 BY_SHADOW = 0.5  # of a line's step, from which the lamps explain it
 WHITE = 0.98  # reflectance that a thing without trusted pixels may have at most
 BY_FAR = 10  # times what a cause must bring
+LEFT = 0.2  # of the error that tiles have in common, where one object's own reflectance is all that is wrong
 ELSEWHERE = 0.1  # part of a thing that lies on other facets than most of it
 
 
@@ -443,7 +444,8 @@ def _alone(found, audit, one, patch_object, names, is_fitted=True, **options) ->
         other, _ = fit(own, start=start, **options)
     else:
         own, other = _as_shown(own, start, audit, **options)
-    if in_doubt(other) or audit.flagged(own, audit.misfits(own, other)):
+    left = found.result.correlated * LEFT
+    if not fits(other) or other.correlated > max(DOUBT, left) or audit.flagged(own, audit.misfits(own, other)):
         return []
     ratio = other.state.rho[number] / np.maximum(other.state.rho[one.group], 1e-9)
     gain = evidence(own, other.at).nats - evidence(problem, found.result.at).nats
