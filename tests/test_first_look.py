@@ -41,6 +41,17 @@ def test_a_model_in_other_units(tmp_path, scale, unit):
     assert "units" in doubts and f"model: {{unit: {unit}}}" in text
 
 
+def test_a_room_in_inches_taken_for_centimetres(tmp_path):
+    low = cameras.look_at(*(0.39 * np.array(p) for p in ((0.4, 0.4, 1.5), (3, 2, 1))), 70, 64, 48)
+    doubts, text = looked(tmp_path, larger({**rooms.room(), **rooms.LAMP}, 0.39), low)
+    assert "units" in doubts and "if nobody could stand in it, write model: {unit: in}" in text
+
+
+def test_a_unit_that_makes_the_model_small_is_no_missing_wall(tmp_path):
+    doubts, text = looked(tmp_path, larger({**rooms.room(), **rooms.LAMP}, 0.1), camera())
+    assert "openings" in doubts and "so unit, up or pose are not as told" in text and "draw the walls" not in text
+
+
 def test_y_is_up(tmp_path):
     turned = cameras.look_at((0.4, 0.4, 1.0), (3, 0.6, 2), 70, 64, 48, up=(0, 1, 0))
     doubts, text = looked(tmp_path, posed=turned)

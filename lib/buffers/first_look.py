@@ -14,6 +14,7 @@ RAYS = 400  # from the camera all around
 TRIES = 8_000_000  # pairs of rays and triangles that a second allows
 NEAR_M = 0.05  # a lamp whose front looks at something nearer than that shines into it
 LARGE_M, SMALL_M = 100.0, 0.3  # sizes of a model that is hardly in metres
+LOW_M = 1.5  # least side of a box that a camera stands in, below which it is hardly a room
 TINY_PX = 500  # pixels of a group below which its values are loose
 CLIPPED = 0.01  # share of pixels worth a word
 FLAT = 0.25  # of the range that a photograph should use
@@ -36,7 +37,7 @@ def findings(model, camera, photograph, facet, lamps=(), up="z", turned=1) -> li
     turned : EXIF's orientation of the photograph
     """
     return [
-        *_size(model),
+        *_size(model, camera),
         *_camera(model, camera),
         *_up(camera, up),
         *_sight(model, facet, lamps),
@@ -47,9 +48,9 @@ def findings(model, camera, photograph, facet, lamps=(), up="z", turned=1) -> li
     ]
 
 
-def _size(model):
-    p = model.vertices[np.unique(model.triangles)]
-    size = np.ptp(p, axis=0)
+def _size(model, camera):
+    low, size = _box(model)
+    within = ((camera.centre >= low) & (camera.centre <= low + size)).all()
     text = f"the model is {' x '.join(f'{s:.3g}' for s in size)} m, {model.n_facets} facets, {len(model.groups)} groups"
     longest = size.max()
     if longest > LARGE_M:
@@ -57,13 +58,23 @@ def _size(model):
         yield Finding("units", f"{text}: if that is too large, write model: {{unit: {unit}}} in scene.yaml", True)
     elif longest < SMALL_M:
         yield Finding("units", f"{text}: if that is too small, write model: {{unit: ft}} or what it was drawn in", True)
+    elif within and size.min() < LOW_M:
+        yield Finding(
+            "units", f"{text}: if nobody could stand in it, write model: {{unit: in}} or what it was drawn in", True
+        )
     else:
         yield Finding("units", text)
 
 
-def _camera(model, camera):
+def _box(model):
+    """Least corner and size of the model's box, m."""
     p = model.vertices[np.unique(model.triangles)]
-    inside = ((camera.centre >= p.min(axis=0)) & (camera.centre <= p.max(axis=0))).all()
+    return p.min(axis=0), np.ptp(p, axis=0)
+
+
+def _camera(model, camera):
+    low, size = _box(model)
+    inside = ((camera.centre >= low) & (camera.centre <= low + size)).all()
     where = "inside" if inside else "outside"
     hfov = 2 * np.degrees(np.arctan(camera.width / 2 / camera.K[0, 0]))
     place = ", ".join(f"{x:.2f}" for x in camera.centre)
@@ -148,7 +159,11 @@ def _openings(model, camera):
     text = (
         f"{share:.0%} of the directions around the camera leave the model, most towards {where}: black in the analysis"
     )
+    low, size = _box(model)
+    away = float(np.linalg.norm(camera.centre - np.clip(camera.centre, low, low + size)))
     way = ": draw the walls, floor and ceiling behind the camera too"
+    if away > np.linalg.norm(size):
+        way = f": it stands {away:.3g} m away from a model of {size.max():.3g} m, so unit, up or pose are not as told"
     yield Finding("openings", text + (way if share > 0.1 else ""), share > 0.1)
 
 
