@@ -49,7 +49,9 @@ def disagreements(problem: Problem, result: Result, found: Gathered, asked, riva
     """
     if not len(problem.tile_group) or result.at is None:
         return []
-    why = [*_range(found), *(transfer_told(problem, asked, rivals) or _another_gamma(problem, result, asked))]
+    if why := _range(found):
+        return why  # all else that might be wrong would only bend to it
+    why = transfer_told(problem, asked, rivals) or _another_gamma(problem, result, asked)
     why += lamps(problem, result)
     if problem.specular is None and not fits(result):
         why += _open_model(problem, result)

@@ -386,7 +386,7 @@ def _from_other_gammas(first: Candidate) -> Candidate:
 
 def _ran_away(found: Candidate) -> bool:
     """gamma went where hardly a camera is, as in white rooms in dim light, where all reflectances go to 0 with it."""
-    return found.problem.fit_transfer and found.kind == "gamma" and found.result.state.gamma > FAR_GAMMA
+    return _searches_gamma(found) and found.result.state.gamma > FAR_GAMMA
 
 
 def _climbed(best: Candidate, leave: Leave):
