@@ -397,12 +397,15 @@ def _climbed(best: Candidate, leave: Leave):
         near = {cause for cause, nats in promised.items() if nats >= NEARLY * promised[most]}
         # the others only bend to a glow and to mixing, colours bend to all else
         wanted = {most} if most in (glow.NAME, matrix.NAME) else near - {matrix.NAME}
+        if leave.response and best.kind == "gamma" and "response" not in tried:
+            wanted |= {"response"}  # sRGB, where nothing else than that may be needed
         tried |= wanted
         candidates = {}
         if "response" in wanted:
-            functions = (best, *responses.fitted(best, promised["response"] if leave.response else np.inf))
+            more = promised.get("response", 0.0)
+            functions = (best, *responses.fitted(best, more if leave.response else np.inf))
             candidates["response"] = _settled(responses.simplest(functions), best, leave) if leave.response else best
-            errors = responses.unresolved(functions, candidates["response"], promised["response"])
+            errors = responses.unresolved(functions, candidates["response"], more)
         if "vignetting" in wanted:
             shadow = _settled(_vignetted(best, leave), best, leave)
             candidates |= {"vignetting": shadow} if vignetting.is_shadow(shadow) else {}
@@ -419,6 +422,10 @@ def _climbed(best: Candidate, leave: Leave):
         if not better:
             continue
         cause = max(better, key=lambda cause: better[cause].evidence.nats)
+        simple = better.get("response")
+        if simple and simple.kind == "srgb" and cause != "response":  # it has no free number, a cause has
+            ahead = better[cause].evidence.nats - simple.evidence.nats
+            cause = cause if ahead >= enough(best.problem, USUAL + best.complexity) else "response"
         gain = promised | {name: c.evidence.nats - best.evidence.nats for name, c in candidates.items()}
         taken.append(Taken(cause, gain.pop(cause), gain))
         best, tried = better[cause], {t.cause for t in taken}
