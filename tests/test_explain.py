@@ -138,7 +138,7 @@ def test_an_object_without_a_trusted_tile_is_named_by_the_pixels_of_the_audit(ti
     light = shown.transfer.linear(shown.pixels) * np.where(other, times, 1.0)
     audit = audited(replace(shown, pixels=shown.transfer.display(light)), thing)
     found = explain.as_given(fitted, max_iterations=40)
-    one = strangers.unlike_unfitted(found, audit)
+    one = strangers.unlike_in_audit(found, audit)
     why = strangers.alone_unlike(found, audit, lambda: np.zeros(6), lambda: ["box", "crate"], max_iterations=40)
     assert [w.subject for w in why] == ["crate"] * named
     if named:

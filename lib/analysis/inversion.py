@@ -173,12 +173,12 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
 
 
 def _one_object_promises(task, first, rough, most) -> bool:
-    """One object's own reflectance brings more than any cause, or might: it has no trusted pixel."""
+    """One object's own reflectance brings more than any cause, or might: few of its pixels, or none, are trusted."""
     from lib.analysis import strangers
 
     if unlike.promise(first.problem, first.result, slightly=True) > most:
         return True
-    return strangers.unlike_unfitted(rough, audit_of(task, rough)) is not None
+    return strangers.unlike_in_audit(rough, audit_of(task, rough)) is not None
 
 
 def _transfer_told_wrong(task, first, leave, promised, given) -> list:

@@ -404,20 +404,16 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
     ]
 
 
-def unlike_unfitted(found: Explained, audit: Audit) -> unlike.Unlike | None:
-    """The object most unlike the rest of its group of those that have no trusted tile: what it throws on others bends
-    the whole fit, and its own pixels are in the audit alone."""
+def unlike_in_audit(found: Explained, audit: Audit) -> unlike.Unlike | None:
+    """The object most unlike the rest of its group by its own pixels: few of them, or none, may be trusted, but what it
+    throws on others bends the whole fit."""
     problem = found.problem
-    fitted = set(zip(problem.tile_group, problem.tile_object, strict=True))
     among = [g for g in range(len(problem.groups)) if g not in problem.known_groups and g not in audit.given]
     parts = misfits.parts(audit.subcell, problem, found.result, audit.tiles, among)
-    unfitted = [
-        unlike.Unlike(g, thing, ratio, 0.0)
-        for g, of_group in parts.items()
-        for thing, ratio in of_group.unlike.items()
-        if (g, thing) not in fitted
+    found = [
+        unlike.Unlike(g, thing, ratio, 0.0) for g, of_group in parts.items() for thing, ratio in of_group.unlike.items()
     ]
-    return max(unfitted, key=lambda one: np.abs(one.ratio - 1).max(), default=None)
+    return max(found, key=lambda one: np.abs(one.ratio - 1).max(), default=None)
 
 
 def alone_unlike(found: Explained, audit: Audit, patch_object, names, **options) -> list[Why]:
@@ -430,8 +426,11 @@ def alone_unlike(found: Explained, audit: Audit, patch_object, names, **options)
     one = max(unlike.objects(problem, result, slightly=True), key=lambda one: one.nats, default=None)
     if one is not None and one.nats >= BY_FAR * enough(problem):
         return _alone(found, audit, one, patch_object, names, **options)
-    one = unlike_unfitted(found, audit)
-    return _alone(found, audit, one, patch_object, names, is_fitted=False, **options) if one is not None else []
+    one = unlike_in_audit(found, audit)
+    if one is None:
+        return []
+    is_fitted = bool(((problem.tile_group == one.group) & (problem.tile_object == one.thing)).any())
+    return _alone(found, audit, one, patch_object, names, is_fitted, **options)
 
 
 def _alone(found, audit, one, patch_object, names, is_fitted=True, **options) -> list[Why]:
