@@ -19,8 +19,7 @@ NATS_PER_TILE = 0.02 / 9
 MIXING = 6  # free numbers of a camera that mixes colours
 HARDLY = 1.05  # times another's typical residual: right ones without a free number had up to 1.03
 USUAL = 3  # free numbers that an explanation has more
-# Of fits that are only compared. Valleys of white rooms are long; sixty steps that bring less leave one nat at most
-ROUGH = {"tolerance": 1e-3, "max_iterations": 60, "gain": 0.1}
+ROUGH = {"tolerance": 1e-3, "max_iterations": 60}  # of fits that are only compared; valleys of white rooms are long
 
 
 @dataclass(frozen=True)
@@ -70,6 +69,10 @@ class Candidate:
         if question not in self.asked:
             self.asked[question] = ask(self)
         return self.asked[question]
+
+    def off(self, other: Candidate) -> float:
+        """By how much the two predict held-out tiles differently, display, rms."""
+        return float(np.sqrt(np.mean((self.evidence.residual - other.evidence.residual) ** 2)))
 
     def beats(self, other: Candidate) -> bool:
         """By enough, and the typical tile is no worse; of what has fewer free numbers, hardly worse."""

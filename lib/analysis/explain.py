@@ -29,15 +29,14 @@ LAMPS, OBJECT = "lamps", "object"  # what may be wrong that is no cause: emittan
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
 FAR_GAMMA = 4.0  # beyond it other starts are tried whatever is left to explain
 SAME = 0.01  # gammas that differ by less are of one minimum
+LOST = (
+    0.045  # display, median of the tiles: no gamma that ran away (.025) left so much, a lamp turned round does (.067)
+)
 HOPELESS = 0.015  # display, median of the tiles: no other start of gamma explains what is so far off
 NEARLY = 0.5  # of the most that a cause promises, from which another is fitted beside it: .35 were the most in 16 rooms
 STUCK = 0.05  # of what a cause has brought: right ones leave .03, one beside a gamma of 5.6 for 2.2 leaves .17
-ALMOST = (
-    0.5  # of what is enough, from which lamps that are told are set free beside causes: right ones promise .1 at most
-)
-ALONE = (
-    0.5  # of what a cause brings, that lamps alone promise at least where they are wrong: .8 to 1, right ones to .34
-)
+ALMOST = 0.5  # of what is enough, from which told lamps are set free beside causes: right ones promise .1 at most
+ALONE = 0.5  # of what a cause brings, that lamps alone promise at least where they are wrong: .8 to 1; right ones .34
 LIGHT_KNOWN_TO = 3e-4  # display: right lamps that were set free changed a white room by 2.1e-4, ones 3 % off by 5.2e-4
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
 
@@ -270,10 +269,8 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
     free, taken = _with_free_lamps(found, leave)
     gain, least = free.evidence.nats - best.evidence.nats, enough(told)
     as_many = _enough_of_lamps(told)
-    causes = [t for t in found.taken if not (t.cause == "response" and best.kind == "srgb")]
-    if gain < as_many and (gain < -least or len(taken) >= len(causes)):
-        return []
-    if len(taken) >= len(causes) and _alike(free, best):
+    spares = len(taken) < sum(not (t.cause == "response" and best.kind == "srgb") for t in found.taken)
+    if gain < as_many and (gain < -least or not spares) or not spares and free.off(best) < LIGHT_KNOWN_TO:
         return []
     result, _ = fit(free.problem, start=free.start, **options)
     if not fits(result):
@@ -282,11 +279,6 @@ def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
     if gain < 0 or matrix.NAME not in spared:  # the camera may mix colours, and have the lamps so
         told = replace(told, emittance=best.problem.transfer.mixed(told.emittance))
     return lamps_of(told, result, gain, spared if gain < as_many else ())
-
-
-def _alike(one: Candidate, other: Candidate) -> bool:
-    """Their pictures differ by less than a white room's light is known to."""
-    return np.sqrt(np.mean((one.evidence.residual - other.evidence.residual) ** 2)) < LIGHT_KNOWN_TO
 
 
 def _enough_of_lamps(problem: Problem) -> float:
@@ -386,7 +378,8 @@ def _from_other_gammas(first: Candidate) -> Candidate:
 
 def _ran_away(found: Candidate) -> bool:
     """gamma went where hardly a camera is, as in white rooms in dim light, where all reflectances go to 0 with it."""
-    return _searches_gamma(found) and found.result.state.gamma > FAR_GAMMA
+    gamma = found.result.state.gamma if found.problem.fit_transfer and found.kind == "gamma" else 0.0
+    return gamma > FAR_GAMMA and found.typical < LOST
 
 
 def _climbed(best: Candidate, leave: Leave):

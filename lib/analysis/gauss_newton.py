@@ -17,11 +17,10 @@ UNBIASED_STEPS = 8
 PARALLEL = 0.9  # cosine between two steps, from which the second goes on farther;  and this much of the first's length
 LASTING = 0.5
 DOUBLINGS = 6
-DAMPED = 0.01  # damping from which a step says nothing of what is left to gain
 
 
 def gauss_newton(
-    problem: Problem, *, gamma=None, max_iterations=30, tolerance=1e-5, gain=0.0, trace=None, start=None, finish=True
+    problem: Problem, *, gamma=None, max_iterations=30, tolerance=1e-5, trace=None, start=None, finish=True
 ) -> Result:
     """Levenberg-Marquardt with bounds and Huber weights, then a few steps that take away a bias.
 
@@ -31,7 +30,6 @@ def gauss_newton(
 
     gamma : where an unknown one begins, else at the problem's
     start : Unknowns to begin with instead of eq. 4.3, as specular problems must; bends begin at 0
-    gain : of the cost (chi2), below which a step is the last, however long it is
     finish : False: neither the last steps nor the uncertainty (on the way to a better problem)
     trace : called after each iteration with iteration, image_rmse, state
     """
@@ -42,7 +40,7 @@ def gauss_newton(
         start = Unknowns(*initialise(problem, transfer), transfer)
     at = Equations.begun(problem, light, layout, _begun(problem, layout, start))
     solvable = layout.size > 0 and len(problem.tile_group) > 0
-    at, converged, iteration = _least_squares(problem, at, max_iterations if solvable else 0, tolerance, gain, trace)
+    at, converged, iteration = _least_squares(problem, at, max_iterations if solvable else 0, tolerance, trace)
     converged = converged or layout.size == 0
     if finish and problem.halves and converged and solvable:
         at, steps = _unbiased(problem, at, tolerance)
@@ -62,7 +60,7 @@ def _begun(problem, layout, start: Unknowns) -> Unknowns:
     return start._replace(transfer=transfer, bend=bend, cause=np.zeros(layout.cause) if layout.cause else None)
 
 
-def _least_squares(problem, at: Equations, max_iterations, tolerance, gain, trace):
+def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
     """Equations at the least squares, whether the last step was small enough, and the number of iterations."""
     bounds = at.layout.bounds(at.state.transfer)
     damping, converged, iteration, last = 1e-3, False, 0, None
@@ -81,17 +79,16 @@ def _least_squares(problem, at: Equations, max_iterations, tolerance, gain, trac
         for tried in range(TRIES):
             step = _bounded_step(H, g, theta, *bounds, damping)
             trial = at.moved(theta + step)
-            left = trial.cost(weight)
-            if left <= cost * (1 + 1e-9) + 1e-12:
+            if trial.cost(weight) <= cost * (1 + 1e-9) + 1e-12:
                 damping = damping if tried else max(damping / 10, 1e-9)
                 break
             damping = max(damping, 1e-6) * 10
         else:
             return at, bool(_relative(step, theta) < 100 * tolerance), iteration
         base = step
-        if _goes_on(last, step, theta):
+        if problem.cause is None and _goes_on(last, step, theta):  # causes are lines near where they stand
             step, trial = _farther(problem, at, step, trial, bounds)
-        converged = _relative(step, theta) < tolerance or (cost - left < gain and damping < DAMPED)
+        converged = bool(_relative(step, theta) < tolerance)
         at, last = trial, base
 
 

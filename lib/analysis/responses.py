@@ -1,9 +1,9 @@
 """Which transfer function the photograph supports: the simplest of gamma, sRGB and a free curve.
 
 Gamma is fitted first, roughly. One step from there towards a curve tells what more freedom would bring to the tiles
-that are held out; only where that is worth something sRGB is fitted, which has no free number, and a curve where that
-may win. A simpler function wins unless a curve beats it by more than chance. A function that scene.yaml names is
-never replaced; what beats it is its rival.
+that are held out; only where that is worth something sRGB is fitted, which has no free number, a curve where that may
+win, and gamma again where the curve is like one. A simpler function wins unless a curve beats it by more than chance. A
+function that scene.yaml names is never replaced; what beats it is its rival.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from lib.analysis.uncertainty import RESOLVED
 from lib.given.tone_curve import KNOTS
 from lib.given.transfer import Metric, Transfer
 
-ALIKE = 0.02  # display: a curve that is so near to a gamma may be one
+ALIKE = 0.02  # display: a curve that is so near to a simpler function may be that one
+SURELY = 5  # times what a curve must bring: what is promised more is its, or sRGB's that is like it
 LIKELY = 0.6  # of the nats that a curve must bring, which a step must promise: they differ by a tenth
 
 
@@ -43,34 +44,43 @@ def under_srgb(found: Candidate) -> Candidate:
 
 
 def fitted(found: Candidate, promised=np.inf) -> list[Candidate]:
-    """The fit under sRGB, which has no free number; with a free curve where so many nats promised let it win; and with
-    a gamma where the curve is like one.
+    """The fits under sRGB, which has no free number, with a free curve where so many nats promised let it win, and with
+    a gamma where the curve is like one. Where so much is promised that a curve wins, sRGB is fitted if it is like it.
+
+    promised : by `promise`; inf: all are to be compared
     """
-    result = [] if found.kind == "srgb" else [under_srgb(found)]
-    brought = max((c.evidence.nats - found.evidence.nats for c in result), default=0.0)
-    if promised - max(brought, 0.0) < LIKELY * enough(found.problem, len(KNOTS) - found.complexity):
-        return result
-    problem, taken = found.problem, found.taken
+    problem, result = found.problem, []
+    least = enough(problem, len(KNOTS) - found.complexity)
+    if promised < SURELY * least or np.isinf(promised):
+        result = [] if found.kind == "srgb" else [under_srgb(found)]
+        brought = max((c.evidence.nats - found.evidence.nats for c in result), default=0.0)
+        if promised - max(brought, 0.0) < LIKELY * least:
+            return result
     mixed = {"matrix": problem.transfer.matrix}
     curve = replace(Transfer("gamma", USUAL_GAMMA).as_curve(), **mixed)
     # specular problems must begin where mirrors and lobes reflect as found
     begun = lambda transfer: problem.specular and found.start._replace(transfer=transfer, near=None)
     told = replace(problem, transfer=curve, fit_transfer=True)
-    free = Candidate.of(told, taken | {"curve": {}}, start=begun(curve))
-    gamma = replace(Transfer("gamma", USUAL_GAMMA), **mixed)
+    free = Candidate.of(told, found.taken | {"curve": {}}, start=begun(curve))
+    function = free.result.state.transfer.bare
+    if not result and found.kind != "srgb" and _is_like(function, Transfer("srgb"), problem):
+        result.append(under_srgb(found))
     own = problem.transfer.kind == "gamma" and problem.fit_transfer
-    if not own and _is_like_a_gamma(free.result.state.transfer.bare, problem):
-        result.append(Candidate.of(replace(problem, transfer=gamma, fit_transfer=True), taken, start=begun(gamma)))
+    if not own and _is_like(function, Transfer("gamma", USUAL_GAMMA), problem):
+        gamma = replace(Transfer("gamma", USUAL_GAMMA), **mixed)
+        told = replace(problem, transfer=gamma, fit_transfer=True)
+        result.append(Candidate.of(told, found.taken, start=begun(gamma)))
     return [free, *result]
 
 
-def _is_like_a_gamma(function: Transfer, problem) -> bool:
-    """Over the light that the photograph shows."""
+def _is_like(function: Transfer, simple: Transfer, problem) -> bool:
+    """Over the light that the photograph shows, with the gamma that suits best."""
     light = function.linear(np.linspace(*np.quantile(problem.photograph.display(), (0.01, 0.99)), 50))
-    shown, gamma = function.display(light), Transfer("gamma", USUAL_GAMMA)
-    slope = np.polyfit(np.log(np.maximum(shown, 1e-6)), np.log(np.maximum(light, 1e-12)), 1)[0]
-    like = gamma.moved([np.clip(slope, *gamma.bounds)])
-    return bool(np.abs(like.display(light) - shown).max() < ALIKE)
+    shown = function.display(light)
+    if simple.kind == "gamma":
+        slope = np.polyfit(np.log(np.maximum(shown, 1e-6)), np.log(np.maximum(light, 1e-12)), 1)[0]
+        simple = simple.moved([np.clip(slope, *simple.bounds)])
+    return bool(np.abs(simple.display(light) - shown).max() < ALIKE)
 
 
 def simplest(candidates) -> Candidate:
