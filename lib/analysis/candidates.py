@@ -81,8 +81,7 @@ class Candidate:
 
     def is_worth(self, other: Candidate) -> bool:
         """It beats the other by enough, as many free numbers as it has more."""
-        more = self.complexity - other.complexity
-        more = USUAL if more == 0 else max(more, 0)
+        more = max(self.complexity - other.complexity, 0) or USUAL
         return self.evidence.nats - other.evidence.nats >= enough(other.problem, more)
 
 

@@ -29,9 +29,7 @@ LAMPS, OBJECT = "lamps", "object"  # what may be wrong that is no cause: emittan
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
 FAR_GAMMA = 4.0  # beyond it other starts are tried whatever is left to explain
 SAME = 0.01  # gammas that differ by less are of one minimum
-LOST = (
-    0.045  # display, median of the tiles: no gamma that ran away (.025) left so much, a lamp turned round does (.067)
-)
+LOST = 0.045  # display, median of the tiles: gammas that ran away left .025, a lamp turned round .067
 HOPELESS = 0.015  # display, median of the tiles: no other start of gamma explains what is so far off
 NEARLY = 0.5  # of the most that a cause promises, from which another is fitted beside it: .35 were the most in 16 rooms
 STUCK = 0.05  # of what a cause has brought: right ones leave .03, one beside a gamma of 5.6 for 2.2 leaves .17
@@ -412,13 +410,13 @@ def _climbed(best: Candidate, leave: Leave):
             for cause, c in candidates.items()
             if c is not best and c.beats(best) and c.evidence.nats - best.evidence.nats > errors
         }
+        simple = candidates.get("response")
+        if simple and simple.kind == "srgb":  # it has no free number, so a cause must beat it by all of its own
+            least = simple.evidence.nats + enough(best.problem, USUAL + best.complexity)
+            better = {cause: c for cause, c in better.items() if c is simple or c.evidence.nats >= least}
         if not better:
             continue
         cause = max(better, key=lambda cause: better[cause].evidence.nats)
-        simple = better.get("response")
-        if simple and simple.kind == "srgb" and cause != "response":  # it has no free number, a cause has
-            ahead = better[cause].evidence.nats - simple.evidence.nats
-            cause = cause if ahead >= enough(best.problem, USUAL + best.complexity) else "response"
         gain = promised | {name: c.evidence.nats - best.evidence.nats for name, c in candidates.items()}
         taken.append(Taken(cause, gain.pop(cause), gain))
         best, tried = better[cause], {t.cause for t in taken}

@@ -104,7 +104,7 @@ def unresolved(candidates, best: Candidate, promised=None) -> float:
 
 
 def _is_resolved(one: Candidate, other: Candidate) -> bool:
-    return np.sqrt(np.mean((one.evidence.residual - other.evidence.residual) ** 2)) >= RESOLVED
+    return Candidate.off(one, other) >= RESOLVED
 
 
 def doubted(found: Candidate) -> CauseTerms | None:

@@ -410,10 +410,10 @@ def unlike_in_audit(found: Explained, audit: Audit) -> unlike.Unlike | None:
     problem = found.problem
     among = [g for g in range(len(problem.groups)) if g not in problem.known_groups and g not in audit.given]
     parts = misfits.parts(audit.subcell, problem, found.result, audit.tiles, among)
-    found = [
+    seen = [
         unlike.Unlike(g, thing, ratio, 0.0) for g, of_group in parts.items() for thing, ratio in of_group.unlike.items()
     ]
-    return max(found, key=lambda one: np.abs(one.ratio - 1).max(), default=None)
+    return max(seen, key=lambda one: np.abs(one.ratio - 1).max(), default=None)
 
 
 def alone_unlike(found: Explained, audit: Audit, patch_object, names, **options) -> list[Why]:
