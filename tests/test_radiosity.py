@@ -1,10 +1,13 @@
 """The light balance: by hand, by law (furnace, flux, the bound), and at the edge (rho = 1, black, open, one patch)."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
 from lib.light import radiosity
+from lib.light.corrected import Corrected, product
 from tests.helpers.truths import CUBE, CUBES, closed_box
 
 METHODS = [dict(method=m) for m in radiosity.METHODS] + [
@@ -339,3 +342,20 @@ def test_gmres_of_any_power(power):
     x, residual, _ = radiosity.gmres(lambda X: X - np.float32(0.5) * (F @ X), b, tolerance=1e-5)
     y, *_ = radiosity.gmres(lambda X: X - np.float32(0.5) * (F @ X), b * np.float32(power), tolerance=1e-5)
     assert residual <= 1e-5 and np.allclose(y / np.float32(power), x, rtol=1e-5)
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 4, 9])
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+def test_sparse_products_are_those_of_dense_ones(columns, precision):
+    """Rows without an entry, with one and with many; rows times a correction are their product."""
+    random = np.random.default_rng(columns)
+    rows, correction = (random.random(shape) * (random.random(shape) < 0.3) for shape in ((7, 12), (12, 12)))
+    rows[0], rows[1, 1:] = 0, 0
+    X = random.random((12, columns)).astype(precision)
+    sparse = [csr_array(A.astype(precision)) for A in (rows, correction)]
+    close = functools.partial(np.testing.assert_allclose, rtol=1e-5 if precision == np.float32 else 1e-12)
+    close(product(sparse[0], X), rows @ X)
+    both = Corrected(*sparse)
+    close(both @ X, rows @ correction @ X)
+    close(both.toarray(), rows @ correction)
+    assert (both @ X).dtype == precision

@@ -388,12 +388,12 @@ def _climbed(best: Candidate, leave: Leave):
         near = {cause for cause, nats in promised.items() if nats >= NEARLY * promised[most]}
         # the others only bend to a glow and to mixing, colours bend to all else
         wanted = {most} if most in (glow.NAME, matrix.NAME) else near - {matrix.NAME}
+        more = promised["response"] if "response" in wanted else 0.0
         if leave.response and best.kind == "gamma" and "response" not in tried:
             wanted |= {"response"}  # sRGB, where nothing else than that may be needed
         tried |= wanted
         candidates = {}
         if "response" in wanted:
-            more = promised.get("response", 0.0)
             functions = (best, *responses.fitted(best, more if leave.response else np.inf))
             candidates["response"] = _settled(responses.simplest(functions), best, leave) if leave.response else best
             errors = responses.unresolved(functions, candidates["response"], more)

@@ -10,6 +10,7 @@ from lib.core.stage import BadInput
 from lib.given.transfer import CURVES, Transfer
 from lib.given.transfer_kinds import OF_PICTURE
 from lib.light import outside
+from lib.light.corrected import Corrected
 from lib.light.factors_file import OUTSIDE, FormFactors
 
 USUAL_GAMMA = 2.2
@@ -47,7 +48,7 @@ def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, trans
     tiles, channels = found.tiles, found.pixels.shape[1]
     model = transfer_of(transfer, found.linear)
     subcell = factors.subcell
-    seen_by = lambda rows, half=None: (rows.matrix(half) @ subcell).tocsr()
+    seen_by = lambda rows, half=None: Corrected(rows.matrix(half), subcell)
     return Problem(
         F=seen_by(factors.rows),
         D=factors.lamp_factor,

@@ -12,7 +12,7 @@ class Mixture:
     """
 
     def __init__(self, base, parts):
-        self.base, self.parts = base, parts
+        self.base, self.parts = base.tocsr() if hasattr(base, "tocsr") else base, parts
         self.sparse = any(hasattr(A, "tocsr") for A in parts.values())
         if not self.sparse:
             return

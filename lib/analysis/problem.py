@@ -90,7 +90,7 @@ class Halves(NamedTuple):
 
     def difference(self, E, b):
         """(T, C) half of what the two differ by in the light of the tiles."""
-        found = 0.5 * ((self.G0 - self.G1) @ b)
+        found = 0.5 * (self.G0 @ b - self.G1 @ b)
         return found + 0.5 * ((self.D_tile[0] - self.D_tile[1]) @ E) if self.D_tile else found
 
 
@@ -201,8 +201,9 @@ class CauseTerms(NamedTuple):
 class Problem:
     """What the photograph says and what geometry knows. C channels, N patches, T tiles, G groups, L lamps.
 
-    F : (N, N) array or CSR;  D : (N, L);  patch_group : (N,) int;  area : (N,)
-    G : (T, N) CSR with the sub-cell correction of the sources, as F has it;  G_plain : without it;  D_tile : (T, L)
+    F : (N, N) array, CSR or Corrected;  D : (N, L);  patch_group : (N,) int;  area : (N,)
+    G : (T, N) CSR or Corrected, with the sub-cell correction of the sources, as F has it;  G_plain : without it
+    D_tile : (T, L)
     tile_group, tile_object : (T,) int;  start : (T + 1,) into pixels;  pixels : (M, C) display
     transfer : as given, or where its search begins;  fit_transfer : its parameters are free
     lamps : names, of an open model the outside last, see lib/light/outside.py

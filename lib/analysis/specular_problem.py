@@ -13,6 +13,7 @@ from lib.analysis.site import Site
 from lib.analysis.specular_ways import Traced
 from lib.light import outside
 from lib.light.chains import Finish
+from lib.light.corrected import Corrected
 from lib.light.specular import ChainRows
 
 MISSING = 1 / 3  # of what a finer look at light changed may still be missing (docs/design.md, sub-cell correction)
@@ -51,7 +52,7 @@ def assemble(
     terms = None
     if finish is not None:
         terms = _terms(site, finish, t, some, traced, unknown, rays, detail, final)
-    seen = lambda half=None: (t.rows.matrix(half) @ site.subcell).tocsr()
+    seen = lambda half=None: Corrected(t.rows.matrix(half), site.subcell)
     base, apart = site.base, outside.halves(site.factors, t.direct, t.rows)
     return replace(
         base,

@@ -187,7 +187,7 @@ def _in_common(problem, residual):
 def _common_errors(problem, at, normal):
     """{cause: change (n,) of the parameters, one standard deviation}: causes that move all tiles together."""
     state, rho_tile = at.state, at.shown_share
-    found = {"discretisation": 0.5 * normal.push(rho_tile * ((problem.G - problem.G_plain) @ state.b))}
+    found = {"discretisation": 0.5 * normal.push(rho_tile * (problem.G @ state.b - problem.G_plain @ state.b))}
     for doubt in problem.specular.doubts if problem.specular is not None else ():
         found[doubt.cause] = normal.push(at.light.bent(doubt.W, doubt.V, state.E, state.b))
     if problem.edge_noise is not None:

@@ -12,18 +12,20 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.light import radiosity
+from lib.light.corrected import product
 
 BALANCED = 1e-4  # largest relative residual of a light balance that counts as solved; it is solved to 1e-5 or better
-DENSE_LIMIT = 6000  # patches up to which F is kept dense: BLAS is then faster than sparse products
+DENSE_LIMIT = 6000  # patches up to which F is kept dense where much of it is filled
+FILLED = 0.25  # share of entries from which BLAS is faster than sparse products
 _kept = []  # [(sparse, dense)]
 
 
 def stored(F):
-    """F as it multiplies fastest: dense up to DENSE_LIMIT patches, else sparse.
+    """F as it multiplies fastest: dense where it is small and filled, else sparse.
 
     The last is kept: several fits ask for the same.
     """
-    if not hasattr(F, "toarray") or F.shape[0] > DENSE_LIMIT:
+    if not hasattr(F, "toarray") or F.shape[0] > DENSE_LIMIT or F.nnz < FILLED * F.shape[0] * F.shape[1]:
         return F
     if not _kept or _kept[0][0] is not F:
         _kept[:] = [(F, F.toarray())]
@@ -38,14 +40,14 @@ def times(matrices, X, channel=None):
     if matrices is None:
         return 0
     if len(matrices) == 1:
-        return matrices[0] @ X if not isinstance(matrices[0], int) else 0
+        return product(matrices[0], X) if not isinstance(matrices[0], int) else 0
     channel = np.arange(X.shape[1]) if channel is None else channel
     size = next((A.shape[0] for A in matrices if not isinstance(A, int)), 0)
     out = np.zeros((size, X.shape[1]), np.result_type(X, np.float32))
     for c, A in enumerate(matrices):
         mine = channel == c
         if mine.any() and not isinstance(A, int):
-            out[:, mine] = A @ X[:, mine]
+            out[:, mine] = product(A, X[:, mine])
     return out
 
 

@@ -168,16 +168,6 @@ class Factors:
         return self.F.toarray() if self.sparse else self.F
 
 
-def product(F):
-    """X (N, K) -> F X for repeated products, in X's precision: rows that are mostly empty are best kept sparse."""
-    if not hasattr(F, "tocsr"):
-        return lambda X: F @ X
-    F = F.tocsr()
-    return lambda X: (
-        F @ X if X.shape[1] > 8 else kernels.sparse_times(F.indptr, F.indices, F.data, np.ascontiguousarray(X))
-    )
-
-
 # ---- does a balance exist, and how far can the answer be off ----
 
 
