@@ -55,8 +55,8 @@ class Candidate:
 
     @property
     def typical(self):
-        """Median of the tiles' residuals, display."""
-        return float(np.median(np.abs(self.result.tile_residual)))
+        """Median of the residuals of plain tiles, display."""
+        return float(np.median(np.abs(self.result.tile_residual[self.problem.plain])))
 
     @property
     def start(self) -> Unknowns:

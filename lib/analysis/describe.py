@@ -175,7 +175,11 @@ def _of_rung(group: Group, climb: Climb, g, textured: Textured | None) -> Group:
         group = replace(group, error=climb.misfits[g].rms)
     if place.rung == "textured":
         group = replace(group, kind="textured")
-        return replace(group, texture=textured.files, rho_d=_three(textured.mean)) if textured else group
+        if textured is None:
+            return group
+        if group.sigma.rho_d is not None:
+            group = replace(group, sigma=Sigma(rho_d=_three(np.hypot(group.sigma.rho_d, textured.unseen))))
+        return replace(group, texture=textured.files, rho_d=_three(textured.mean))
     if climb.finish is None or g not in climb.finish.groups:
         return group
     return _specular(group, climb, g, climb.finish.groups.index(g), place)

@@ -91,8 +91,8 @@ def gain(problem: Problem, after: Evidence, before: Evidence) -> tuple[float, fl
 
 
 def noise_variance(problem: Problem, at: Equations) -> np.ndarray:
-    """(T, 1) display: of the pixels, and of the tiles' own rays as their two halves tell it on the whole."""
-    variance = problem.tile_noise
+    """(T, 1) display: of pixels, patterns, and the tiles' own rays as their two halves tell it on the whole."""
+    variance = problem.tile_noise if problem.variance is None else problem.tile_noise + problem.variance
     if problem.halves is None or not len(variance):
         return variance
     shown = at.displayed(at.shown_share * problem.halves.difference(at.state.E, at.state.b))

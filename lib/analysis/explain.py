@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lib.analysis import glow, lamp_lobe, matrix, responses, unlike, vignetting
+from lib.analysis import glow, lamp_lobe, matrix, patterned, responses, unlike, vignetting
 from lib.analysis.agreement import are_told, fits, freed, in_doubt, lamps_of, out_of_range, promise_of_lamps
 from lib.analysis.candidates import MIXING, NATS, USUAL, Candidate, enough
 from lib.analysis.equations import Unknowns
@@ -172,7 +172,8 @@ def started(problem: Problem, leave: Leave, gamma=None, trace=None) -> Candidate
     if leave.vain or not len(problem.tile_group):
         return problem
     first = Candidate.of(problem, trace=trace, gamma=gamma)
-    return _from_other_gammas(first) if _ran_away(first) else first
+    first = _from_other_gammas(first) if _ran_away(first) else first
+    return first if leave.lens is None else patterned.beside(first, leave.pixel, leave.lens.size[0])
 
 
 def without_lobes(first: Candidate | Problem, leave: Leave, **options) -> Explained:

@@ -159,16 +159,18 @@ class _Step:
         unexplained = [
             g for g, tried in self.trials.items() if g not in self.wanted and not any(t.explained > 0.5 for t in tried)
         ]
-        greatest = max(unexplained, key=self.energy, default=None)
+        unexplained.sort(key=self.energy, reverse=True)
+        greatest = unexplained[0] if unexplained else None
         others = max((self.energy(g) * t.explained for g, tried in self.trials.items() for t in tried), default=0.0)
         sure = any(
             t.explained > 0.8 and t.misfit.excess <= 0.5 * self.threshold
             for tried in self.trials.values()
             for t in tried
         )
-        if greatest is not None and self.energy(greatest) > 4 * others and not sure:
-            return self._texture(greatest) or self._climb()
-        return self._climb() or (self._texture(greatest) if greatest is not None else [])
+        comes_first = greatest is not None and self.energy(greatest) > 4 * others and not sure
+        if comes_first and (taken := self._texture(greatest)):
+            return taken
+        return self._climb() or next((taken for g in unexplained if (taken := self._texture(g))), [])
 
     def _tried(self, g) -> list:
         """The rungs above the group's own, tried in the present light, until one explains the group."""
@@ -252,12 +254,12 @@ class _Step:
         )
 
     def _texture(self, g) -> list:
-        """What no rung explains is a texture, if it is clearly more than shadows' edges leave."""
+        """What no rung explains is a texture, if it is clearly more than shadows' edges leave, or a pattern."""
         place = self.here.places[g]
         if g not in self.here.misfits or place.rung != "diffuse":
             return []
         excess = self.here.misfits[g].excess
-        if excess <= 1.5 * self.threshold:
+        if excess <= 1.5 * self.threshold and not self.site.base.group_variance[g]:
             return []
         if g in self.hidden:
             place.why = f"off by {excess:.4f} beyond noise, but only where something may stand before it"

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lib.analysis import agreement, explain, responses, vignetting
 from lib.analysis.answers import Answer, answered, looked, things_of
 from lib.analysis.candidates import Candidate, enough
-from lib.analysis.climbing import SPECULAR, Climb
+from lib.analysis.climbing import SPECULAR
 from lib.analysis.evidence import evidence
 from lib.analysis.gauss_newton import fit
+
+if TYPE_CHECKING:
+    from lib.analysis.ascent import Ascent
 
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
 ALMOST_ALL = 0.8  # of the energy of all groups: one that has as much may be what is wrong with the others, too
@@ -120,17 +124,21 @@ def _of_groups(task, explained, audit, judged, report, leave) -> Answer:
         # the same light, but with what its causes leave unsure, which the ladder takes as they are
         audit.doubt(explained.problem, explained.result, judged)
         return answer
-    if climb.on(*SPECULAR):
-        climb = _with_causes(task, explained, climb, leave)
-        done = done._replace(climb=climb)
+    done = _with_causes(task, explained, done, leave)
+    climb = done.climb
     audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
     answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
     return answer
 
 
-def _with_causes(task, explained, climb, leave) -> Climb:
+def _with_causes(task, explained, done, leave) -> Ascent:
     """The climb with the causes of the camera fitted beside its groups, which climbed with those standing fast, and
-    with what camera, lamps and edges leave open in every sigma."""
+    with what camera, lamps and edges leave open in every sigma.
+
+    A diffuse fit takes mirrors' light and textures for the lens's doing, or a part of that for theirs. Albedo maps are
+    made of the photograph without the shadow that is found in the end.
+    """
+    site, climb = done.site, done.climb
     problem, at = climb.problem, climb.result.at
     found = Candidate(problem, climb.result, None)  # only where it stands is asked for
     tiles = climb.tiles.take(np.flatnonzero(climb.tiles.fit))
@@ -140,7 +148,10 @@ def _with_causes(task, explained, climb, leave) -> Climb:
     doubted = responses.doubted(found) if leave.response else None
     problem = replace(problem, cause=cause, doubted=doubted, **_known_of(explained.problem, task.found.tiles, tiles))
     result, scale = fit(problem, start=found.start._replace(near=None), **task.options)
-    return replace(climb, problem=problem, result=result, scale=scale)
+    if alone:
+        k = explained.falloff + vignetting.change(result.state.cause)
+        site = replace(site, view=vignetting.without(task.view(), explained.lens, k, result.state.transfer))
+    return done._replace(site=site, climb=replace(climb, problem=problem, result=result, scale=scale))
 
 
 def _known_of(before, gathered, tiles) -> dict:

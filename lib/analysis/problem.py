@@ -282,6 +282,21 @@ class Problem:
         return variance + (EDGE_SHARE * self.edge_noise**2 / np.maximum(self.n_pixels, 1))[:, None]
 
     @property
+    def plain(self):
+        """(T,) bool: the tile shows nothing that is known not to be explained; all where every one does."""
+        if self.variance is None or (self.variance > 0).all():
+            return np.ones(len(self.tile_group), bool)
+        return self.variance[:, 0] == 0
+
+    @property
+    def group_variance(self):
+        """(G,) display variance of what is known not to be explained."""
+        found = np.zeros(len(self.groups))
+        if self.variance is not None:
+            np.maximum.at(found, self.tile_group, self.variance[:, 0])
+        return found
+
+    @property
     def known_groups(self):
         """Numbers of the groups whose reflectance is given: lamps and references."""
         return {int(g) for g in np.flatnonzero(~np.isnan(self.rho).any(axis=1))}
@@ -433,7 +448,7 @@ def weights(problem: Problem, residual):
 
 def variance(problem: Problem, residual):
     """(T, C) of the tiles. Pixel noise falls with the tile's size; what the model lacks does not."""
-    typical = 1.4826 * float(np.median(np.abs(residual))) if residual.size else 0.0
+    typical = 1.4826 * float(np.median(np.abs(residual[problem.plain]))) if residual.size else 0.0
     found = problem.tile_noise + min(max(typical, 5e-4), 0.05) ** 2
     return found if problem.variance is None else found + problem.variance
 

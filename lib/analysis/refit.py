@@ -37,7 +37,9 @@ def refit(site: Site, here: Climb, options, trace=None) -> Climb:
     """
     trace = trace or (lambda step, result: None)
     textured = here.on("textured")
-    variance = np.zeros(len(site.base.groups))
+    climbed = [g for g, place in here.places.items() if place.rung != "diffuse"]
+    variance = site.base.group_variance
+    variance[climbed] = 0
     variance[textured] = [here.misfits[g].excess ** 2 if g in here.misfits else GIVEN_SPREAD**2 for g in textured]
     if here.on(*SPECULAR):
         return _SpecularFit(site, here, options, trace, textured, variance).climb()

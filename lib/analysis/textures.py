@@ -26,10 +26,12 @@ class Textured:
     """The albedo maps of a group.
 
     files : {facet number: file beside materials.json};  mean : (C,) over the facets' areas
+    unseen : (C,) its standard deviation, by what no pixel shows of them
     """
 
     files: dict
     mean: np.ndarray
+    unseen: np.ndarray
 
 
 def albedo_maps_of(site: Site, climb: Climb) -> dict:
@@ -85,6 +87,7 @@ def write_textures(site: Site, climb: Climb, folder) -> dict:
         files = {
             f: f"{FOLDER}/{Path(albedo_maps.write(Path(folder) / FOLDER, texture)).name}" for f, texture in maps.items()
         }
-        total = sum(a * albedo_maps.mean(texture) for a, texture in zip(area, maps.values(), strict=True))
-        written[g] = Textured(files, total / area.sum())
+        share = area / area.sum()
+        mean = share @ [albedo_maps.mean(texture) for texture in maps.values()]
+        written[g] = Textured(files, mean, share @ [albedo_maps.unseen(texture) for texture in maps.values()])
     return written

@@ -167,16 +167,16 @@ def _tile_errors(problem, at, result):
         sampling = at.displayed(rho_tile * problem.halves.difference(state.E, state.b))
         found.append(sampling)
         noise = problem.tile_noise
-        expected = float(np.sqrt(np.median(sampling**2 / SQUARED_MEDIAN + noise)))
-        typical = float(np.sqrt(np.median(at.residual**2) / SQUARED_MEDIAN))
+        expected = float(np.sqrt(np.median((sampling**2 / SQUARED_MEDIAN + noise)[problem.plain])))
+        typical = float(np.sqrt(np.median(at.residual[problem.plain] ** 2) / SQUARED_MEDIAN))
         result.misfit = typical / max(expected, 1e-3)
         result.correlated = _in_common(problem, at.residual) / max(expected, 1e-3)
     return found
 
 
 def _in_common(problem, residual):
-    """Typical size of the error that neighbouring tiles of one object and group have in common, display."""
-    same = (np.diff(problem.tile_group) == 0) & (np.diff(problem.tile_object) == 0)
+    """Typical size of the error that neighbouring plain tiles of one object and group have in common, display."""
+    same = (np.diff(problem.tile_group) == 0) & (np.diff(problem.tile_object) == 0) & problem.plain[1:]
     a, b = residual[1:][same], residual[:-1][same]
     if not a.size:
         return 0.0

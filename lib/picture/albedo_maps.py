@@ -238,6 +238,19 @@ def mean(texture: AlbedoMap):
     return np.einsum("ij,ijc->c", w, texture.albedo.astype(float)) / w.sum()
 
 
+def unseen(texture: AlbedoMap):
+    """(C,) standard deviation of the mean, since of a share of the facet the photograph tells nothing.
+
+    That share is one place or a few (what stands before it, a margin), so it is off as one texel might be.
+    """
+    told = texture.inside * texture.known.astype(float)
+    if not told.sum() > 0:
+        return np.zeros(texture.albedo.shape[2])
+    average = lambda values: np.einsum("ij,ijc->c", told, values) / told.sum()
+    spread = np.sqrt(average((texture.albedo - average(texture.albedo)) ** 2))
+    return spread * (1 - told.sum() / texture.inside.sum())
+
+
 def painted(surface: Surface, f, picture) -> AlbedoMap:
     """A picture (H, W, C) of reflectances in [0, 1] that fills the facet's bounding rectangle.
 

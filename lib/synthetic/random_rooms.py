@@ -17,6 +17,7 @@ from lib.synthetic.geometry import moved as displaced
 from lib.synthetic.optics import look, pinhole
 from lib.synthetic.recipe import Recipe, Surface, exposed, scaled
 from lib.synthetic.sight import coarse_view
+from lib.synthetic.textured import over, picture_image, planks_image
 
 FREE_PX = 2000  # so many pixels show each free-standing thing of a picture of 640 x 480
 GROUP_PX = 1000  # and so many most groups
@@ -24,6 +25,7 @@ MOST = 0.75  # of the groups
 GROUPS = (10, 16)  # the lamps' included
 ALWAYS = ("floor", "ceiling", "wall")  # groups that every picture shows
 MIRROR = 0.02  # of the picture shows the mirror, at least
+PICTURE = 0.01  # of the picture shows the printed one, at least
 CLEAR_M = 0.14  # between a free-standing thing and all else
 BRIGHTEST = 0.8  # the radiosity that 2 % of the picture exceed
 STEP = 5  # px between the rays that look whether a draw will do
@@ -69,7 +71,7 @@ def mirrored_room(seed, *, size=(400, 300)) -> Recipe:
     random = np.random.default_rng(list(f"mirrored-{seed}".encode()))
     while True:
         recipe = random_room(f"mirrored-{random.integers(1 << 30)}", size=size)
-        framed = _with_mirror(recipe.polygons)
+        framed = _with_front(recipe.polygons, "mirror")
         number, _ = coarse_view(framed, recipe.K, size, recipe.T_cam_world, STEP)
         if np.mean([n >= 0 and framed[n].group == "mirror" for n in number]) > MIRROR:
             break
@@ -82,14 +84,36 @@ def mirrored_room(seed, *, size=(400, 300)) -> Recipe:
     )
 
 
-def _with_mirror(polygons) -> tuple:
-    """The front of the largest plate as a mirror, its edges as they were."""
+def textured_room(seed, *, size=(400, 300)) -> Recipe:
+    """A random room with a printed picture on a wall, over a floor of planks; its scene.yaml does not say so."""
+    random = np.random.default_rng(list(f"textured-{seed}".encode()))
+    while True:
+        recipe = random_room(f"textured-{random.integers(1 << 30)}", size=size)
+        hung = _with_front(recipe.polygons, "picture")
+        number, _ = coarse_view(hung, recipe.K, size, recipe.T_cam_world, STEP)
+        if np.mean([n >= 0 and hung[n].group == "picture" for n in number]) > PICTURE:
+            break
+    picture, floor = (next(p.points for p in hung if p.group == group) for group in ("picture", "floor"))
+    textures = {
+        "picture": over(picture, picture_image(random), upright=True),
+        "floor": over(floor, planks_image(*np.linalg.norm(floor[[3, 1]] - floor[0], axis=1), random)),
+    }
+    return replace(
+        recipe,
+        polygons=hung,
+        materials=recipe.materials | {group: texture.mean() for group, texture in textures.items()},
+        surfaces={group: Surface("textured", texture=texture) for group, texture in textures.items()},
+    )
+
+
+def _with_front(polygons, group) -> tuple:
+    """The front of the largest plate in a group of its own, its edges as they were."""
     plates = [p for p in polygons if p.object.startswith("plate")]
     middle = np.mean([p.points.mean(axis=0) for p in polygons if p.object.startswith("floor")], axis=0)
     largest = max(p.area() for p in plates)
     fronts = [p for p in plates if p.area() > 0.99 * largest]
     front = max(fronts, key=lambda p: p.normal() @ (middle - p.points.mean(axis=0)))
-    return tuple(replace(p, group="mirror") if p is front else p for p in polygons)
+    return tuple(replace(p, group=group) if p is front else p for p in polygons)
 
 
 # ---- furniture ----

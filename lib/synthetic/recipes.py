@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from lib.synthetic import mirrors_and_gloss, offices, stereo, textured
 from lib.synthetic.random_pairs import random_pair
-from lib.synthetic.random_rooms import lobed_room, mirrored_room, random_room, white_room
+from lib.synthetic.random_rooms import lobed_room, mirrored_room, random_room, textured_room, white_room
 from lib.synthetic.recipe import Recipe
 
 _DIFFUSE = {
@@ -52,6 +52,7 @@ RANDOM = {  # by what stands before the seed
     "white": lambda seed: white_room(seed, size=_SMALL),  # <gap in mm>-<seed> and shelves-<seed>: with a narrow gap
     "lobed": lambda seed: lobed_room(seed, size=_SMALL),  # its lamps throw their light in lobes
     "mirrored": lambda seed: mirrored_room(seed, size=_SMALL),  # a mirror hangs on a wall
+    "textured": lambda seed: textured_room(seed, size=_SMALL),  # a picture hangs on a wall, the floor is of planks
     "pair": random_pair,  # stereo, of a size of its own
 }
 

@@ -81,6 +81,45 @@ def rug_image(width=288, height=192, fine=4) -> np.ndarray:
     return _averaged(out, fine)
 
 
+def picture_image(random, width=280, height=200, fine=2) -> np.ndarray:
+    """(height, width, 3) of another printed picture: a soft photograph, bars and discs in a pale margin."""
+    out, x, y = _canvas(width, height, fine, random.uniform(0.2, 0.5, 3))
+    for _ in range(8):
+        at, size = random.uniform((0, 0), (width, height)), random.uniform(25, 80)
+        out += np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * size**2))[..., None] * random.uniform(-0.25, 0.3, 3)
+    for _ in range(random.integers(2, 6)):
+        at, size = random.uniform((20, 20), (width - 20, height - 20)), random.uniform(6, 35, 2)
+        inside = (np.abs(x - at[0]) < size[0]) & (np.abs(y - at[1]) < size[1])
+        if random.random() < 0.5:
+            inside = (x - at[0]) ** 2 + (y - at[1]) ** 2 < size[0] ** 2
+        out[inside] = random.uniform(0.05, 0.8, 3)
+    out[(np.minimum(x, width - x) < 9) | (np.minimum(y, height - y) < 9)] = random.uniform(0.6, 0.85)
+    return _averaged(np.clip(out, 0.04, 0.86), fine)
+
+
+def planks_image(length, width, random, fine=2) -> np.ndarray:
+    """(h, w, 3) of a floor of length x width m, 1 px is 1 cm: planks of wood, no two alike, with joints and grain."""
+    out, x, y = _canvas(int(100 * length), int(100 * width), fine, random.uniform(0.25, 0.5) * np.array([1, 0.8, 0.6]))
+    broad, long = random.uniform(9, 18), random.uniform(80, 180)
+    row = np.floor(y / broad).astype(int)
+    along = x + random.uniform(0, long, row.max() + 1)[row]
+    plank = row * 1000 + np.floor(along / long).astype(int)
+    tone = random.uniform(0.75, 1.25, plank.max() + 1)[plank]
+    grain = 1 + 0.06 * np.sin(2 * np.pi * (y / random.uniform(1.5, 4) + 0.8 * np.sin(x / random.uniform(15, 60))))
+    joint = (y % broad < 0.5) | (along % long < 0.5)
+    out *= (tone * grain * np.where(joint, 0.5, 1))[..., None]
+    return _averaged(np.clip(out, 0.03, 0.9), fine)
+
+
+def over(corners, image, upright=False) -> Texture:
+    """An image over a rectangle, corners (4, 3) counter-clockwise from the front. upright : its last row is lowest"""
+    first = int(np.argmax(corners[:, 2] - 1e-3 * np.arange(4))) if upright else 0
+    corners = np.roll(corners, -first, axis=0)
+    if upright and np.linalg.norm(corners[1, :2] - corners[0, :2]) > 1e-6:  # the right one of the upper corners
+        corners = np.roll(corners, -1, axis=0)
+    return Texture(image, corners[0], corners[3] - corners[0], corners[1] - corners[0])
+
+
 def poster() -> Recipe:
     """A room with a printed poster on the wall and a woven rug on the floor, both textured.
 

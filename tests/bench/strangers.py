@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 COUNTED_PX = 1000
 MITSUBA = ROOT / ".venv-scenes" / "bin" / "python"
 HEAD = "kind             runs conv   median  90 %   worst   unid kinds   95 %  sigma green>6  CPU s   most"
-MIRROR_SETTINGS = ("--linear", "--spp", "64", "--passes", "10", "--variant", "llvm_ad_rgb")
+TRACED_SETTINGS = ("--linear", "--spp", "64", "--passes", "10", "--variant", "llvm_ad_rgb")
 EXACT_SETTINGS = ("--gather", "--spp", "256", "--passes", "6", "--variant", "llvm_ad_rgb")
 
 
@@ -34,7 +34,7 @@ def room(name, out):
     """The folder of an exact room, made if it is not there."""
     folder = out / "rooms" / name
     if not (folder / "truth" / "materials.json").exists():
-        settings = MIRROR_SETTINGS if name.startswith("mirrored") else EXACT_SETTINGS
+        settings = TRACED_SETTINGS if name.startswith(("mirrored", "textured")) else EXACT_SETTINGS
         command = [MITSUBA, ROOT / "stages" / "synthesise.py", "--scene", name, "--out", folder, *settings]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
     return folder
