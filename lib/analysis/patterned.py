@@ -1,9 +1,9 @@
 """Groups whose tiles scatter as no light makes them: textures, as a rule, or what mirrors show.
 
 Light that is not as it was taken for changes smoothly over a surface, or at edges. A pattern is everywhere on it. So a
-group is patterned where most of its tiles are off by much beside planes through some neighbours each. What it is has to
-be found out later; until then its tiles scatter by so much, and others tell what the camera is, and whether lamps and
-model are right.
+group is patterned where most of its tiles are off by much beside polynomials of the second degree, each through some
+neighbours. What it is has to be found out later; until then its tiles scatter by so much, and others tell what the
+camera is, and whether lamps and model are right.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from lib.analysis.candidates import Candidate
 from lib.analysis.problem import Problem
 
 LEAST = 0.006  # display: scatter of a pattern
-TIMES = 4.0  # that of the plainest third of all other tiles
+TIMES = 3.0  # that of the plainest third of all other tiles
 THIRD = 0.431  # a third of normal numbers are smaller: shadows' edges may cross the cells of the others
-CELL = 24  # tiles of one object, at least, through whose residuals a plane is laid
+CELL = 24  # tiles of one object, at least, through whose residuals a polynomial is laid
 
 
 def beside(found: Candidate, pixel, width) -> Candidate:
@@ -42,11 +42,12 @@ def variance(problem: Problem, residual, pixel, width) -> np.ndarray | None:
 
 
 def _scatter(problem, residual, place):
-    """(G,) robust scatter of the groups' tiles beside planes; NaN where too few tell. place : (T, 2) px"""
+    """(G,) robust scatter of the groups' tiles beside polynomials; NaN where too few tell. place : (T, 2) px"""
     left = np.full(residual.shape, np.nan)
     for g, o in np.unique(np.stack([problem.tile_group, problem.tile_object], axis=1), axis=0):
         for cell in _cells(place, np.flatnonzero((problem.tile_group == g) & (problem.tile_object == o))):
-            A = np.column_stack([np.ones(len(cell)), place[cell] - place[cell].mean(axis=0)])
+            x, y = (place[cell] - place[cell].mean(axis=0)).T / max(np.ptp(place[cell]), 1)
+            A = np.column_stack([np.ones(len(cell)), x, y, x * x, x * y, y * y])
             bent = A @ np.linalg.lstsq(A, residual[cell], rcond=None)[0]
             left[cell] = (residual[cell] - bent) * np.sqrt(len(cell) / (len(cell) - A.shape[1]))
     found, told = np.full(len(problem.groups), np.nan), ~np.isnan(left[:, 0])
