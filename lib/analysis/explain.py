@@ -309,7 +309,8 @@ def _with_free_lamps(found: Explained, leave: Leave):
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:
     """With the causes that the photograph supports beside those of `begun`, [Taken]."""
     best, more, functions = _climbed(begun, leave)
-    problem = replace(best.problem, doubted=_doubted(best) if leave.response else None)
+    variance = patterned.still(best, leave.pixel, leave.lens)
+    problem = replace(best.problem, doubted=_doubted(best) if leave.response else None, variance=variance)
     result, scale = fit(problem, start=best.start, **options)
     result.iterations += best.result.iterations
     return Explained(

@@ -27,6 +27,16 @@ def beside(found: Candidate, pixel, width) -> Candidate:
     return found if spread is None else Candidate.of(replace(found.problem, variance=spread), start=found.start)
 
 
+def still(found: Candidate, pixel, lens) -> np.ndarray | None:
+    """(T, 1) variance of what is a pattern still: less may be one beside causes that were not known before.
+
+    lens : Lens, None where nothing was looked for
+    """
+    if lens is None or found.problem.variance is None:
+        return found.problem.variance
+    return variance(found.problem, found.result.tile_residual, pixel, lens.size[0])
+
+
 def variance(problem: Problem, residual, pixel, width) -> np.ndarray | None:
     """(T, 1) display variance of the tiles' patterns, None where no group has one.
 
