@@ -106,7 +106,8 @@ def under_noise(kind, seeds):
     for shot in photographs(linear, how, seeds):
         seen = replace(found, pixels=shot.values.reshape(-1, shot.values.shape[2])[found.tiles.pixel])
         problem = facts.problem_of(made.factors, seen, lamps=lamps, reference=reference, transfer=None)
-        result = explain.explain(problem, explain.Leave(causes=()), gamma=2.2, max_iterations=100).result
+        leave = explain.Leave(response=False, causes=())  # one explanation: others have other numbers
+        result = explain.explain(problem, leave, gamma=GAMMA, max_iterations=100).result
         layout = result.at.layout
         names = [("rho", g, c) for g, c in layout.rho] + [("lamp", k, c) for k, c in layout.E] + [("gamma", 0, 0)]
         values.append(layout.pack(result.state))
