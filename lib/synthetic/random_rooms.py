@@ -69,16 +69,10 @@ def lobed_room(seed, *, size=(400, 300)) -> Recipe:
 def mirrored_room(seed, *, size=(400, 300)) -> Recipe:
     """A random room with a mirror on a wall, perfect or of a colour; its scene.yaml does not say so."""
     random = np.random.default_rng(list(f"mirrored-{seed}".encode()))
-    while True:
-        recipe = random_room(f"mirrored-{random.integers(1 << 30)}", size=size)
-        framed = _with_front(recipe.polygons, "mirror")
-        number, _ = coarse_view(framed, recipe.K, size, recipe.T_cam_world, STEP)
-        if np.mean([n >= 0 and framed[n].group == "mirror" for n in number]) > MIRROR:
-            break
+    recipe = _with_plate(random, "mirrored", size, "mirror", MIRROR)
     tint = random.uniform(0.7, 0.95) * random.uniform(0.9, 1, 3) if random.random() < 0.5 else np.ones(3)
     return replace(
         recipe,
-        polygons=framed,
         materials=recipe.materials | {"mirror": (0.0, 0.0, 0.0)},
         surfaces={"mirror": Surface("mirror", tuple(map(float, np.round(tint, 3))))},
     )
@@ -87,12 +81,8 @@ def mirrored_room(seed, *, size=(400, 300)) -> Recipe:
 def textured_room(seed, *, size=(400, 300)) -> Recipe:
     """A random room with a printed picture on a wall, over a floor of planks; its scene.yaml does not say so."""
     random = np.random.default_rng(list(f"textured-{seed}".encode()))
-    while True:
-        recipe = random_room(f"textured-{random.integers(1 << 30)}", size=size)
-        hung = _with_front(recipe.polygons, "picture")
-        number, _ = coarse_view(hung, recipe.K, size, recipe.T_cam_world, STEP)
-        if np.mean([n >= 0 and hung[n].group == "picture" for n in number]) > PICTURE:
-            break
+    recipe = _with_plate(random, "textured", size, "picture", PICTURE)
+    hung = recipe.polygons
     picture, floor = (next(p.points for p in hung if p.group == group) for group in ("picture", "floor"))
     textures = {
         "picture": over(picture, picture_image(random), upright=True),
@@ -100,10 +90,19 @@ def textured_room(seed, *, size=(400, 300)) -> Recipe:
     }
     return replace(
         recipe,
-        polygons=hung,
         materials=recipe.materials | {group: texture.mean() for group, texture in textures.items()},
         surfaces={group: Surface("textured", texture=texture) for group, texture in textures.items()},
     )
+
+
+def _with_plate(random, kind, size, group, least) -> Recipe:
+    """A random room whose picture shows the front of its largest plate, of a group of its own, by such a share."""
+    while True:
+        recipe = random_room(f"{kind}-{random.integers(1 << 30)}", size=size)
+        polygons = _with_front(recipe.polygons, group)
+        number, _ = coarse_view(polygons, recipe.K, size, recipe.T_cam_world, STEP)
+        if np.mean([n >= 0 and polygons[n].group == group for n in number]) > least:
+            return replace(recipe, polygons=polygons)
 
 
 def _with_front(polygons, group) -> tuple:
