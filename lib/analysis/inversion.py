@@ -29,6 +29,10 @@ from lib.core.report import Report
 MIXES = (
     0.4  # of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
 )
+DISTINCT = (
+    2.0  # times the error that another transfer function leaves beside lobes: a false one changed 1.2, right ones
+)
+# from which .2 of gamma were off changed so much that nothing was left
 
 
 def solve(task: Task, report: Report) -> Answer:
@@ -335,13 +339,16 @@ def _why(task, answer: Answer, edges, things=None):
 
 
 def _rivals(answer) -> dict:
-    """{kind: nats} of other transfer functions. None where a curve promises nothing after the groups have climbed."""
-    rivals = answer.explained.rivals
-    if not rivals or answer.climb is None:
-        return rivals
+    """{kind: nats} of other transfer functions: asked again where groups have climbed, whose light may have hidden the
+    right one from the diffuse fit, or made a wrong one look right. None where a curve promises nothing any more, or
+    where it changes hardly more than the light of lobes is off."""
+    if not answer.explained.rivals or answer.climb is None:
+        return answer.explained.rivals
     problem, result = answer.problem, answer.result
-    left = responses.promise(Candidate(problem, result, evidence(problem, result.at)))
-    return rivals if left > 0 else {}
+    found = Candidate(problem, result, evidence(problem, result.at))
+    others = responses.fitted(found) if responses.promise(found) > 0 else []
+    tells = [c for c in others if c.off(found) > DISTINCT * c.evidence.discrepancy]
+    return {c.kind: c.evidence.nats - found.evidence.nats for c in tells}
 
 
 def _strange(task, answer, is_wrong, things):
