@@ -17,6 +17,7 @@ UNBIASED_STEPS = 8
 PARALLEL = 0.9  # cosine between two steps, from which the second goes on farther;  and this much of the first's length
 LASTING = 0.5
 DOUBLINGS = 6
+FAR = 0.1  # display, rms: from a start that is farther away reflectances come nearer before gamma moves
 
 
 def gauss_newton(
@@ -76,8 +77,9 @@ def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
         H = J.T @ (weight.reshape(-1, 1) * J) + prior
         g = J.T @ (weight * at.residual).reshape(-1) + gradient
         theta, cost = at.layout.pack(at.state), at.cost(weight)
+        still = at.layout.responding if rmse(problem, at.residual) > FAR else slice(0, 0)
         for tried in range(TRIES):
-            step = _bounded_step(H, g, theta, *bounds, damping)
+            step = _bounded_step(H, g, theta, *bounds, damping, still)
             trial = at.moved(theta + step)
             if trial.cost(weight) <= cost * (1 + 1e-9) + 1e-12:
                 damping = damping if tried else max(damping / 10, 1e-9)
@@ -156,13 +158,14 @@ def _positive_definite(H):
     return bool((diagonal > 0).all() and np.linalg.eigvalsh(H / np.sqrt(np.outer(diagonal, diagonal)))[0] > 1e-9)
 
 
-def _bounded_step(H, g, theta, low, high, damping):
-    """Levenberg-Marquardt step within bounds.
+def _bounded_step(H, g, theta, low, high, damping, still=slice(0, 0)):
+    """Levenberg-Marquardt step within bounds. still : parameters that do not move
 
     A step towards a bound covers at most 0.9 of the way: clipping would bend its direction. A parameter that sits at
     its bound and is pushed outward is held.
     """
     held = ((theta <= low + 1e-9) & (g > 0)) | ((theta >= high - 1e-9) & (g < 0))
+    held[still] = True
     free = np.flatnonzero(~held)
     step = np.zeros(len(theta))
     if len(free):
