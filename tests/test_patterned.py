@@ -8,6 +8,7 @@ import pytest
 from lib.analysis import patterned
 from lib.analysis.candidates import Candidate
 from lib.picture.albedo_maps import AlbedoMap, unseen
+from tests.helpers.changed_scenes import deviated, vignetted
 from tests.helpers.made_problems import COLOURS, made
 
 WIDTH, TILES, PIXELS, A = 400, 300, 9, 1  # A: number of the group "a"
@@ -75,3 +76,12 @@ def test_the_mean_of_a_map_is_as_unsure_as_what_no_pixel_shows():
     known[:10] = 0
     np.testing.assert_allclose(unseen(of(known)), 0.25 * 0.1, rtol=0.1)
     np.testing.assert_allclose(unseen(of(0 * ones)), 0)
+
+
+@pytest.mark.scene
+def test_a_print_in_the_shadow_of_a_lens(tmp_path):
+    """The disc on the poster was taken for a thing before it, since the picture fitted badly without its pattern."""
+    _, found, off = deviated(tmp_path, vignetted, "poster")
+    assert found["status"] == "converged" and [c["cause"] for c in found["explained"]] == ["vignetting"]
+    assert {name for name, group in found["groups"].items() if group["kind"] != "diffuse"} == {"poster", "rug"}
+    assert off < 4

@@ -20,7 +20,7 @@ from lib.given.view import View
 from lib.planning import makefile, scene
 from lib.planning.pipeline import read_pipeline
 from lib.planning.walk import walk
-from tests.helpers.changed_scenes import clean, deviated, obj
+from tests.helpers.changed_scenes import clean, deviated, obj, vignetted
 
 ROOT = Path(__file__).resolve().parents[1]
 MODELS = sorted(path for path in (ROOT / "data").glob("*/model.*") if path.suffix != ".mtl")
@@ -128,18 +128,6 @@ def test_an_exact_scene_runs_once(tmp_path):
     assert found["explained"] == [] and not list(build.glob("refined.*"))
     assert (build / "draft/gather.npz").read_bytes() == (build / "gather.npz").read_bytes()
     assert not [p for p in (build / "draft").iterdir() if p.name.startswith(".")]
-
-
-def vignetted(folder):
-    """cos^4 with 37 degrees at the corner, seen through gamma 2.2."""
-    path = str(folder / "left.png")
-    values = cv2.imread(path, cv2.IMREAD_UNCHANGED)
-    H, W = values.shape[:2]
-    y, x = np.indices((H, W))
-    tangent = np.hypot(x - (W - 1) / 2, y - (H - 1) / 2) / np.hypot((W - 1) / 2, (H - 1) / 2) * np.tan(np.radians(37))
-    V = np.cos(np.arctan(tangent)) ** 4
-    darker = np.round(values * V[..., None] ** (1 / 2.2)).astype(values.dtype)
-    cv2.imwrite(path, np.where(values == 255, values, darker))  # what shines stays white
 
 
 @pytest.mark.scene

@@ -365,6 +365,8 @@ def _strange(task, answer, is_wrong, things):
         things = strangers.things(task.view(), task.factors, explained, answer.audit, sure)
     elif things is None:
         things = things_of(task, explained, answer.audit)
+    if not is_wrong:
+        things = [t for t in things if not (t.is_of_print and climbed.get(t.behind[0]) == "textured")]
     return [
         *strangers.said(things, explained.problem.groups),
         *(

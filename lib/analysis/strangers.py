@@ -71,6 +71,11 @@ class Thing(NamedTuple):
     outlined: bool = False
 
     @property
+    def is_of_print(self):
+        """It may be: what it stands before has a pattern besides, and nothing but its outline is strange there."""
+        return self.alone and self.outlined and not self.on_plain
+
+    @property
     def is_sharp(self):
         """All around: no picture of anything in a dull lobe is."""
         return self.sharp >= ALL_AROUND
@@ -134,7 +139,7 @@ class _Picture:
     def __init__(self, view, explained, audit, climbed):
         problem, result, tiles = explained.problem, explained.result, audit.tiles
         self.view, self.groups, self.state = view, problem.groups, result.state
-        self.climbed, self.given = dict(climbed), audit.given
+        self.climbed, self.given, self.has_pattern = dict(climbed), audit.given, problem.group_variance > 0
         self.by_lamps = np.where(problem.own_lamps[:, None], result.state.E, 0)  # (L, C) emittances
         self.metric, self.pixel = Metric(result.state.transfer), tiles.pixel
         self.tiles, self.which = tiles, np.repeat(np.arange(len(tiles)), np.diff(tiles.start))
@@ -337,10 +342,10 @@ class _Picture:
 
     def _is_plain_but_for(self, mine, facet):
         """A texture that is one patch on a plain facet may be a thing before it: one photograph does not tell."""
-        on_facet = self.owner == facet
-        if self.given.get(self._group_of(facet)):
+        on_facet, group = self.owner == facet, self._group_of(facet)
+        if self.given.get(group) or self.has_pattern[group]:
             return False
-        rest = self._drawn(self._strange(), False) & on_facet & ~mine
+        rest = self._drawn(self.off > STRANGE, False) & on_facet & ~mine
         return np.count_nonzero(rest) < PLAIN * np.count_nonzero(on_facet)
 
     def behind(self, mine):
