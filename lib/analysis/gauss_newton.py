@@ -17,7 +17,8 @@ UNBIASED_STEPS = 8
 PARALLEL = 0.9  # cosine between two steps, from which the second goes on farther;  and this much of the first's length
 LASTING = 0.5
 DOUBLINGS = 6
-FAR = 0.1  # display, rms: from a start that is farther away reflectances come nearer before gamma moves
+FAR = 0.1  # display, rms: from a start that is farther away reflectances come nearer before gamma moves,
+CLOSER = 0.5  # as long as each step leaves less than so much of the distance
 
 
 def gauss_newton(
@@ -64,10 +65,11 @@ def _begun(problem, layout, start: Unknowns) -> Unknowns:
 def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
     """Equations at the least squares, whether the last step was small enough, and the number of iterations."""
     bounds = at.layout.bounds(at.state.transfer)
-    damping, converged, iteration, last = 1e-3, False, 0, None
+    damping, converged, iteration, last, before = 1e-3, False, 0, None, np.inf
     while True:
+        error = rmse(problem, at.residual)
         if trace:
-            trace(iteration=iteration, image_rmse=rmse(problem, at.residual), state=at.state)
+            trace(iteration=iteration, image_rmse=error, state=at.state)
         if converged or iteration >= max_iterations:
             return at, converged, iteration
         iteration += 1
@@ -77,7 +79,8 @@ def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
         H = J.T @ (weight.reshape(-1, 1) * J) + prior
         g = J.T @ (weight * at.residual).reshape(-1) + gradient
         theta, cost = at.layout.pack(at.state), at.cost(weight)
-        still = at.layout.responding if rmse(problem, at.residual) > FAR else slice(0, 0)
+        comes_near = FAR < error < CLOSER * before
+        still, before = at.layout.responding if comes_near else slice(0, 0), error
         for tried in range(TRIES):
             step = _bounded_step(H, g, theta, *bounds, damping, still)
             trial = at.moved(theta + step)
@@ -90,7 +93,7 @@ def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
         base = step
         if problem.cause is None and _goes_on(last, step, theta):  # causes are lines near where they stand
             step, trial = _farther(problem, at, step, trial, bounds)
-        converged = bool(_relative(step, theta) < tolerance)
+        converged = bool(_relative(step, theta) < tolerance) and not comes_near
         at, last = trial, base
 
 
