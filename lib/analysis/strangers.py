@@ -112,10 +112,10 @@ def _outlined(picture, factors, anywhere):
     spots, found = picture.spots(), []
     if not anywhere and not spots:
         return []
-    outlines = [outline for outline in picture.outlined(factors) if picture.may_be_thing(outline[0])]
+    outlines = [outline for outline in picture.outlined(factors) if picture.may_be_thing(outline[0], outlined=True)]
     for pixels, spot, middle in spots:
         within = [(spot & mine).sum() > HALF * size for mine, size, *_ in outlines]
-        if any(within) and picture.may_be_thing(spot):
+        if any(within) and picture.may_be_thing(spot, outlined=True):
             sharp = max(outline[-1] for outline, inside in zip(outlines, within, strict=True) if inside)
             found.append((spot, picture.thing(spot, pixels, middle, sharp)))
             outlines = [outline for outline, inside in zip(outlines, within, strict=True) if not inside]
@@ -225,14 +225,14 @@ class _Picture:
         least = ALL_AROUND if several and not self.is_before_several(mine, self.owner) else HALF
         return self.may_be_thing(mine) and self.sharpness(mine) > least
 
-    def may_be_thing(self, mine):
+    def may_be_thing(self, mine, outlined=False):
         """Neither what a mirror or a texture shows, nor most of a surface: that is its material, or its light."""
         count = np.bincount(self.owner[mine & (self.owner >= 0)], minlength=1)
         if not count.any():
             return False
         most, alone = int(count.argmax()), _is_of_one(self.owner[mine])
         rung = self.climbed.get(self._group_of(most))
-        if alone and rung and not (rung == "textured" and self._is_plain_but_for(mine, most)):
+        if alone and rung and not (rung == "textured" and self._is_plain_but_for(mine, most, outlined)):
             return False
         return bool(count.max() <= WHOLE * np.count_nonzero(self.owner == most))
 
@@ -334,18 +334,22 @@ class _Picture:
         """sharp : share of its outline that is, where only that tells of it"""
         owner = self.owner[mine]
         most = np.bincount(owner[owner >= 0]).argmax()
-        on_plain = _is_of_one(owner) and self._is_plain_but_for(mine, most)
-        behind, alone = self.behind(mine), not self.is_before_several(mine, self.of_group)
         outlined = sharp is not None
+        on_plain = _is_of_one(owner) and self._is_plain_but_for(mine, most, outlined)
+        behind, alone = self.behind(mine), not self.is_before_several(mine, self.of_group)
         sharp = sharp if outlined else self.sharpness(mine)
         return Thing(pixels, tuple(middle), behind, sharp, alone, on_plain, outlined)
 
-    def _is_plain_but_for(self, mine, facet):
-        """A texture that is one patch on a plain facet may be a thing before it: one photograph does not tell."""
+    def _is_plain_but_for(self, mine, facet, outlined):
+        """A texture that is one patch on a plain facet may be a thing before it: one photograph does not tell.
+
+        outlined : only its outline tells of it, as of a disc in a print: what is less strange than things counts, too
+        """
         on_facet, group = self.owner == facet, self._group_of(facet)
         if self.given.get(group) or self.has_pattern[group]:
             return False
-        rest = self._drawn(self.off > STRANGE, False) & on_facet & ~mine
+        strange = self.off > STRANGE if outlined else self._strange()
+        rest = self._drawn(strange, False) & on_facet & ~mine
         return np.count_nonzero(rest) < PLAIN * np.count_nonzero(on_facet)
 
     def behind(self, mine):
