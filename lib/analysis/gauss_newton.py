@@ -79,7 +79,7 @@ def _least_squares(problem, at: Equations, max_iterations, tolerance, trace):
         H = J.T @ (weight.reshape(-1, 1) * J) + prior
         g = J.T @ (weight * at.residual).reshape(-1) + gradient
         theta, cost = at.layout.pack(at.state), at.cost(weight)
-        comes_near = FAR < error < CLOSER * before
+        comes_near = problem.cause is None and FAR < error < CLOSER * before
         still, before = at.layout.responding if comes_near else slice(0, 0), error
         for tried in range(TRIES):
             step = _bounded_step(H, g, theta, *bounds, damping, still)
