@@ -180,6 +180,15 @@ def test_of_what_may_be_a_thing_no_texture_is_made(on_plain):
     assert here.places[0].rung == ("diffuse" if on_plain else "textured")
 
 
+def test_what_may_be_of_a_print():
+    """Only what nothing but its outline tells of: a crate before planks is stranger than they are, and stays a thing."""
+    thing = lambda **more: Thing(
+        3000, (135, 231), [0], 0.98, **{"alone": True, "on_plain": False, "outlined": True} | more
+    )
+    assert thing().is_of_print
+    assert not any(thing(**other).is_of_print for other in ({"outlined": False}, {"on_plain": True}, {"alone": False}))
+
+
 @pytest.mark.parametrize(
     "rho_s, alpha, border", [(1.0, 0.6, True), (0.5, 0.001, True), (0.5, 1.2, True), (1.0, 0.05, False)]
 )
@@ -298,6 +307,23 @@ def test_a_glossy_picture(room, alpha, rho_d, rho_s):
     found, _ = room.found({"picture": (alpha, rho_d, rho_s)})
     check_glossy(found, alpha, rho_d, rho_s)
     agree(found)
+
+
+@pytest.mark.scene
+def test_a_wrong_gamma_is_named_beside_a_sharp_lobe(room):
+    """2.0 for 2.2: its light is less sure than a dull lobe's, but not by so much."""
+    light = room.seen({"picture": (0.03, 0.2, 0.3)})
+    for seed in (1, 2, 3):
+        found, _ = room.fit(photograph(light, seed=seed), E, transfer={"gamma": 2.0})
+        assert found["status"] == "does not fit" and [why["cause"] for why in found["why"]] == ["transfer"]
+
+
+@takes_long
+def test_a_right_gamma_is_not_accused_beside_a_sharp_lobe(room):
+    light = room.seen({"picture": (0.03, 0.2, 0.3)})
+    for seed in (1, 2, 3, 4):
+        found, _ = room.fit(photograph(light, seed=seed), E, transfer=KNOWN)
+        assert found["status"] == "converged"
 
 
 def check_glossy(found, alpha, rho_d, rho_s):

@@ -26,13 +26,11 @@ from lib.analysis.own_materials import materials
 from lib.analysis.task import Task
 from lib.core.report import Report
 
-MIXES = (
-    0.4  # of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
-)
-DISTINCT = (
-    2.0  # times the error that another transfer function leaves beside lobes: a false one changed 1.2, right ones
-)
-# from which .2 of gamma were off changed so much that nothing was left
+# of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
+MIXES = 0.4
+# times the error that another transfer function leaves beside lobes: so much it must change. A false one changed 1.2;
+# where it leaves no error, anything it changes is more
+DISTINCT = 2.0
 
 
 def solve(task: Task, report: Report) -> Answer:
@@ -339,14 +337,20 @@ def _why(task, answer: Answer, edges, things=None):
 
 
 def _rivals(answer) -> dict:
-    """{kind: nats} of other transfer functions: asked again where groups have climbed, whose light may have hidden the
-    right one from the diffuse fit, or made a wrong one look right. None where a curve promises nothing any more, or
-    where it changes hardly more than the light of lobes is off."""
-    if not answer.explained.rivals or answer.climb is None:
-        return answer.explained.rivals
+    """{kind: nats} of other transfer functions, asked again in the light of what has climbed.
+
+    It may leave a curve as much to bring as it must: the diffuse fit was right. Else they are fitted anew, and those
+    count that change more than that light is off. None where a curve promises nothing any more.
+    """
+    rivals = answer.explained.rivals
+    if not rivals or answer.climb is None:
+        return rivals
     problem, result = answer.problem, answer.result
     found = Candidate(problem, result, evidence(problem, result.at))
-    others = responses.fitted(found) if responses.promise(found) > 0 else []
+    promised = responses.promise(found)
+    if promised >= enough(problem):
+        return rivals
+    others = responses.fitted(found) if promised > 0 else []
     tells = [c for c in others if c.off(found) > DISTINCT * c.evidence.discrepancy]
     return {c.kind: c.evidence.nats - found.evidence.nats for c in tells}
 
