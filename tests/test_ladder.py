@@ -181,7 +181,7 @@ def test_of_what_may_be_a_thing_no_texture_is_made(on_plain):
 
 
 def test_what_may_be_of_a_print():
-    """Only what nothing but its outline tells of: a crate before planks is stranger than they are, and stays a thing."""
+    """Only what nothing but its outline tells of: a crate before planks is stranger than they are: a thing."""
     thing = lambda **more: Thing(
         3000, (135, 231), [0], 0.98, **{"alone": True, "on_plain": False, "outlined": True} | more
     )
