@@ -28,9 +28,6 @@ from lib.core.report import Report
 
 # of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
 MIXES = 0.4
-# times the error that another transfer function leaves beside lobes: so much it must change. A false one changed 1.2;
-# where it leaves no error, anything it changes is more
-DISTINCT = 2.0
 
 
 def solve(task: Task, report: Report) -> Answer:
@@ -351,8 +348,7 @@ def _rivals(answer) -> dict:
     if promised >= enough(problem):
         return rivals
     others = responses.fitted(found) if promised > 0 else []
-    tells = [c for c in others if c.off(found) > DISTINCT * c.evidence.discrepancy]
-    return {c.kind: c.evidence.nats - found.evidence.nats for c in tells}
+    return {c.kind: c.evidence.nats - found.evidence.nats for c in others if agreement.is_distinct(c, found)}
 
 
 def _strange(task, answer, is_wrong, things):
