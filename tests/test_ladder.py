@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from lib.analysis import ladder, rungs
+from lib.analysis.candidates import NATS
 from lib.analysis.climbing import Climb, Place
 from lib.analysis.misfits import Misfit
 from lib.analysis.strangers import Thing
@@ -324,6 +325,7 @@ def test_a_right_gamma_is_not_accused_beside_a_sharp_lobe(room):
     for seed in (1, 2, 3, 4):
         found, _ = room.fit(photograph(light, seed=seed), E, transfer=KNOWN)
         assert found["status"] == "converged"
+        assert max((found["transfer"]["rivals"] or {}).values(), default=0) < NATS  # none of the light without the lobe
 
 
 def check_glossy(found, alpha, rho_d, rho_s):

@@ -324,8 +324,10 @@ def _by_light(task, explained, above=0.0):
 
 def _why(task, answer: Answer, edges, things=None):
     """[Why] photograph and facts do not agree, the likeliest first. things : of strangers.things, where known"""
-    result = answer.result
-    why = agreement.disagreements(answer.problem, result, task.found, task.transfer, _rivals(answer))
+    result, rivals = answer.result, _rivals(answer)
+    if rivals is not answer.explained.rivals:
+        answer.explained = replace(answer.explained, rivals=rivals)
+    why = agreement.disagreements(answer.problem, result, task.found, task.transfer, rivals)
     if edges is not None and in_doubt(result):
         why = agreement.joined(why, edges.why)
     if answer.audit is None or any(w.cause == "transfer" for w in why):
