@@ -28,6 +28,9 @@ from lib.core.report import Report
 
 # of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
 MIXES = 0.4
+# times the error that another transfer function leaves beside lobes: so much it must change. A false one changed 1.2;
+# where it leaves no error, anything it changes is more
+DISTINCT = 2.0
 
 
 def solve(task: Task, report: Report) -> Answer:
@@ -107,6 +110,7 @@ def _solved(task: Task, report: Report) -> Answer:
         f"lamp {lamp!r}: no lobe fits the photograph better than an even lamp"
         for lamp in sorted(task.lobes_unknown - answer.explained.lobes.keys())
     ]
+    answer.explained = replace(answer.explained, rivals=_rivals(answer))
     answer.why = _why(task, answer, edges)
     if answer.why and answer.climb and not audit.given and not _all_mirrors(answer.climb):
         answer.ascent, found = None, answer.explained
@@ -324,10 +328,8 @@ def _by_light(task, explained, above=0.0):
 
 def _why(task, answer: Answer, edges, things=None):
     """[Why] photograph and facts do not agree, the likeliest first. things : of strangers.things, where known"""
-    result, rivals = answer.result, _rivals(answer)
-    if rivals is not answer.explained.rivals:
-        answer.explained = replace(answer.explained, rivals=rivals)
-    why = agreement.disagreements(answer.problem, result, task.found, task.transfer, rivals)
+    result = answer.result
+    why = agreement.disagreements(answer.problem, result, task.found, task.transfer, answer.explained.rivals)
     if edges is not None and in_doubt(result):
         why = agreement.joined(why, edges.why)
     if answer.audit is None or any(w.cause == "transfer" for w in why):
@@ -350,7 +352,8 @@ def _rivals(answer) -> dict:
     if promised >= enough(problem):
         return rivals
     others = responses.fitted(found) if promised > 0 else []
-    return {c.kind: c.evidence.nats - found.evidence.nats for c in others if agreement.is_distinct(c, found)}
+    tells = [c for c in others if c.off(found) > DISTINCT * c.evidence.discrepancy]
+    return {c.kind: c.evidence.nats - found.evidence.nats for c in tells}
 
 
 def _strange(task, answer, is_wrong, things):
