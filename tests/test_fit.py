@@ -12,7 +12,8 @@ from scipy.sparse import csr_array
 
 from lib.analysis import gauss_newton, paper, transport
 from lib.analysis.equations import Equations, Layout, Unknowns
-from lib.analysis.problem import CauseTerms, TilePixels
+from lib.analysis.problem import CauseTerms
+from lib.analysis.tile_pixels import TilePixels
 from lib.analysis.uncertainty import _Normal
 from lib.given import transfer_kinds
 from lib.given.transfer import CURVES, Metric, Transfer

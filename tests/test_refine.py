@@ -12,6 +12,7 @@ import scipy.sparse
 
 from lib.analysis import places
 from lib.analysis.audit import looking_at
+from lib.analysis.refine import is_elsewhere
 from lib.given import cameras
 from lib.given import model as models
 from lib.given.cameras import matrix_from_rt
@@ -146,6 +147,13 @@ def test_a_lamp_is_moved_to_where_its_light_has_it(tmp_path, causes):
     assert found["status"] == "converged" and [c["cause"] for c in found["explained"]] == causes
     assert np.linalg.norm(np.array(found["explained"][-1]["values"]["offset_m"]) - [-0.1, 0, 0]) < 0.01
     assert off < 6 and (build / "refined.glb").exists() and not (build / "refined.cameramodel").exists()
+
+
+@pytest.mark.parametrize("mm, elsewhere", [((2.09, 2.11), False), ((3, 3), False), ((12, 0), True), ((100, 40), True)])
+def test_a_lamp_within_its_sigma_stays(mm, elsewhere):
+    """The first, of a room whose camera had a tone curve, brought 39 nats and was taken."""
+    covariance = [[3.83e-6, -5.5e-7], [-5.5e-7, 3.97e-6]]
+    assert is_elsewhere(np.array(mm) / 1000, np.array(covariance)) == elsewhere
 
 
 # ---- what is said where nothing can be put right ----

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lib.analysis.problem import Problem, Result, TilePixels, group_mean, observe
+from lib.analysis.problem import Problem, Result, group_mean, observe
 from lib.analysis.receivers import Receivers, Ways
+from lib.analysis.tile_pixels import TilePixels
 from lib.given.transfer import Metric, Transfer
 
 ENOUGH = 12  # tiles of a group without which it is not judged

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lib.analysis.mixture import Mixture
+from lib.analysis.tile_pixels import TilePixels
 from lib.given.jpeg import SHARED_PX
 from lib.given.transfer import Metric, Transfer
 from lib.light.balance import BALANCED
@@ -25,55 +26,8 @@ MISFIT = 4.0  # residuals so many times what noise explains: something told to t
 # of the variance of a pixel beside an edge that tiles have, over their pixels: twice what tiles of 4 to 30 pixels were
 # off by in JPEGs of quality 80
 EDGE_SHARE = 1 / 8
-LEAST_NOISE = 0.3 / 255  # display, of one pixel: what rounding to 8 bits leaves
 FAR_OUT = 2.5  # standard deviations of a tile, beyond which its residual costs what it is, not its square
 OF_MEDIAN = 1.5  # variance of the median of noise over that of its mean
-
-
-class TilePixels:
-    """The photograph's pixels tile by tile; asked for linear means at many gammas, so its levels are found once.
-
-    A tile of a noisy photograph is its median. Noise may have come to the sensor's light or to the displayed values,
-    and be cut off at black or white: a mean is right for one of these only, the median for all, since T keeps order.
-
-    pixels : (M, C) display;  start : (T + 1,);  noisy : of Photograph, medians are taken
-    """
-
-    def __init__(self, pixels, start, noisy=False):
-        self.count = np.diff(start)[:, None]
-        self.start = start
-        self.pixels = pixels
-        self._medians = _medians(pixels, start) if noisy else None
-        scaled = pixels * 65535
-        if len(pixels) and np.array_equal(scaled, np.round(scaled)):
-            self._levels = np.arange(65536) / 65535
-            self._index = scaled.astype(np.uint16)
-        else:
-            self._levels = None
-
-    def _mean(self, values):
-        if len(self.pixels) == 0:
-            return np.zeros((0, self.pixels.shape[1]))
-        return np.add.reduceat(values, self.start[:-1], axis=0) / self.count
-
-    def linear(self, transfer: Transfer):
-        """Linear mean of each tile, (T, C), and its derivatives by the transfer function's parameters, (T, C, P).
-
-        It is mean(T^-1(I)), never T^-1(mean(I)): docs/design.md, Jensen. The derivatives are of the camera's light.
-        """
-        bare = transfer.bare
-        if self._medians is not None and transfer.kind != "linear":
-            return transfer.linear(self._medians), transfer.linear_by_parameters(self._medians)
-        levels = self.pixels if self._levels is None or transfer.kind == "linear" else self._levels
-        value, slope = bare.linear(levels), transfer.linear_by_parameters(levels)
-        at = (lambda values: values[self._index]) if levels is self._levels else lambda values: values
-        slopes = [self._mean(at(slope[..., k])) for k in range(slope.shape[-1])]
-        mean = transfer.unmixed(self._mean(at(value)))
-        return mean, np.stack(slopes, axis=-1) if slopes else np.zeros((*mean.shape, 0))
-
-    def display(self):
-        """Mean display value of each tile, (T, C)."""
-        return self._mean(self.pixels)
 
 
 class Halves(NamedTuple):
@@ -220,6 +174,7 @@ class Problem:
     spread_E : (L, C) standard deviation of emittances before anything is seen, which may be negative then; inf: any
     noisy : tiles are medians, see Photograph.noisy
     black : (G,) bool, groups that are black where light falls on them, or None
+    photograph : TilePixels of pixels, start and noisy, made where it is not theirs
     """
 
     F: Any
@@ -254,14 +209,20 @@ class Problem:
     spread_E: np.ndarray | None = None
     noisy: bool = False
     black: np.ndarray | None = None
+    photograph: TilePixels | None = None
 
     def __post_init__(self):
-        self.photograph = TilePixels(self.pixels, self.start, self.noisy)
-        self.pixel_noise = _pixel_noise(self.pixels, self.start)
+        if self.photograph is None or not self.photograph.is_of(self.pixels, self.start, self.noisy):
+            self.photograph = TilePixels(self.pixels, self.start, self.noisy)
 
     @property
     def channels(self):
         return self.pixels.shape[1]
+
+    @property
+    def pixel_noise(self):
+        """Display noise of one pixel."""
+        return self.photograph.noise
 
     @property
     def n_pixels(self):
@@ -310,39 +271,6 @@ class Problem:
     def seen_groups(self):
         """(G,) bool: a tile shows the group."""
         return np.isin(np.arange(len(self.groups)), self.tile_group)
-
-
-def _pixel_noise(pixels, start):
-    """Robust display noise of one pixel from differences of neighbours inside tiles."""
-    step = np.diff(pixels, axis=0)
-    inner = np.ones(len(step), bool)
-    inner[start[1:-1] - 1] = False
-    if not inner.any():
-        return 0.01
-    return max(1.4826 * _median_of_rounded(np.abs(step[inner]).ravel()) / np.sqrt(2), LEAST_NOISE)
-
-
-def _median_of_rounded(values):
-    """Median of values >= 0 (n,) that were rounded to levels: each stands for all that is nearer to it than to others.
-    Of noise of a level or two the plain median is a level itself: noise by it was .67 to 1.8 times what it is."""
-    level, count = np.unique(np.round(values, 9), return_counts=True)
-    edges = np.concatenate([[0.0], (level[1:] + level[:-1]) / 2, level[-1:]])
-    up_to, half = np.cumsum(count), len(values) / 2
-    k = int(np.searchsorted(up_to, half))
-    share = (half - (up_to[k] - count[k])) / count[k]
-    return float(edges[k] + share * (edges[k + 1] - edges[k]))
-
-
-def _medians(pixels, start):
-    """(T, C) medians of each tile of pixels (M, C): means of the middle fifth, which lie between levels of 8 bits."""
-    count = np.diff(start)
-    tile = np.repeat(np.arange(len(count)), count)
-    low, high = start[:-1] + (2 * (count - 1)) // 5, start[:-1] + count - (2 * (count - 1)) // 5
-    middle = np.zeros((len(count), pixels.shape[1]))
-    for c, values in enumerate(pixels.T):
-        total = np.concatenate([[0.0], np.cumsum(values[np.lexsort((values, tile))])])
-        middle[:, c] = (total[high] - total[low]) / (high - low)
-    return middle
 
 
 @dataclass(frozen=True, eq=False)

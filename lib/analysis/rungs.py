@@ -12,10 +12,11 @@ import numpy as np
 
 from lib.analysis.lobes import HIGHEST, LOWEST, lobes
 from lib.analysis.misfits import ENOUGH, Misfit, misfit
-from lib.analysis.problem import Problem, State, TilePixels
+from lib.analysis.problem import Problem, State
 from lib.analysis.receivers import Receivers, few
 from lib.analysis.site import Site
 from lib.analysis.specular_ways import PLAIN, SHEEN, irradiance_past
+from lib.analysis.tile_pixels import TilePixels
 from lib.given.kinds import RUNGS
 from lib.given.transfer import Metric
 from lib.light import lamps, specular_lamps

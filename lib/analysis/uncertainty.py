@@ -195,7 +195,7 @@ def _common_errors(problem, at, normal):
             off = np.where(problem.tile_group == g, BLED * problem.edge_noise, 0)[:, None]
             off = np.repeat(off, problem.channels, axis=1)
             found[f"blocks {problem.groups[g]}"] = normal.push_shown(off)
-    for name, off in _colours(problem):
+    for name, off in colours(problem):
         found[name] = normal.push_shown(off)
     comes_in = problem.unsure_outside is not None and state.E[~problem.own_lamps].any()
     for k, (dD, dD_tile) in enumerate([*problem.unsure, *(problem.unsure_outside() if comes_in else ())]):
@@ -213,7 +213,7 @@ def _common_errors(problem, at, normal):
     return found
 
 
-def _colours(problem):
+def colours(problem):
     """(name, (T, C) display) of what JPEG's rounding of colours does to a group's tiles alike, channel by channel.
 
     A group that shows many colours has them rounded up and down.

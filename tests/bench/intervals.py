@@ -29,12 +29,14 @@ from tests.helpers.boxes import look
 ROOT = Path(__file__).resolve().parents[2]
 PAINTS = {"bottom": 0.45, "top": 0.8, "west": 0.6, "east": 0.3, "north": 0.7, "south": 0.5, "box": 0.25, "lamp": 0.0}
 WHITE = {"bottom": 0.85, "top": 0.95, "west": 0.9, "east": 0.88, "north": 0.92, "south": 0.9, "box": 0.8, "lamp": 0.0}
+# a grey picture has no colours for JPEG to round, and may be read as one channel
+COLOURED = {name: rho * np.random.default_rng(len(name)).uniform(0.85, 1.15, 3) for name, rho in PAINTS.items()}
 TINT = np.ones(3)  # of a coloured lamp the fit goes slowly along the valley of gamma and rho
 KINDS = {  # paints, exposure, patches of the fit, bits or quality, the lamp is told
     "normal": (PAINTS, 1.0, 300, 8, True),
     "white": (WHITE, 0.3, 300, 8, True),
     "dark": (PAINTS, 0.1, 300, 8, True),
-    "JPEG": (PAINTS, 1.0, 300, "jpeg", True),
+    "JPEG": (COLOURED, 1.0, 300, "jpeg", True),
     "coarse mesh": (PAINTS, 1.0, 40, 8, True),
     "unknown lamp": (PAINTS, 1.0, 300, 8, False),
 }
@@ -53,14 +55,17 @@ def studio(folder, objects, camera, **fineness):
 
 def noise_sigma(problem, result):
     """(n,) what the pixels' noise alone makes of a value's error: (J'WJ + P)^-1 J'W V W J (J'WJ + P)^-1, on the
-    diagonal; V of the tiles' means."""
+    diagonal; V of the tiles' means, and of what JPEG rounds alike all over a group."""
     from lib.analysis.problem import weights
+    from lib.analysis.uncertainty import colours
 
     at = result.at
     weight = weights(problem, at.residual).reshape(-1, 1)
     variance = np.repeat(problem.tile_noise, problem.channels)[:, None]
     inverse = np.linalg.inv(at.jacobian.T @ (weight * at.jacobian) + at.prior()[1])
-    return np.sqrt(np.diag(inverse @ (at.jacobian.T @ (weight**2 * variance * at.jacobian)) @ inverse))
+    gain = inverse @ (weight * at.jacobian).T
+    alike = sum(((gain @ pattern.ravel()) ** 2 for _, pattern in colours(problem)), np.zeros(len(gain)))
+    return np.sqrt((gain**2) @ variance[:, 0] + alike)
 
 
 def photographs(linear, how, seeds):
@@ -116,7 +121,10 @@ def under_noise(kind, seeds):
         total.append([*own, np.sqrt(result.cov_transfer[0, 0])])
     values, noise, total = np.array(values), np.sqrt(np.mean(np.square(noise), axis=0)), np.mean(total, axis=0)
     true = np.array(
-        [{"rho": paints.get(made.groups[g], 0), "lamp": exposure * E[c], "gamma": GAMMA}[q] for q, g, c in names]
+        [
+            {"rho": (paints.get(made.groups[g], 0) * np.ones(3))[c], "lamp": exposure * E[c], "gamma": GAMMA}[q]
+            for q, g, c in names
+        ]
     )
     seen = np.isin([g if q == "rho" else -1 for q, g, _ in names], [-1, *np.unique(found.group)])
     for quantity in ("rho", "lamp", "gamma"):
