@@ -257,6 +257,20 @@ def test_no_wrong_minimum_of_gamma():
         assert abs(found.state.gamma - gamma) < max(0.02 * gamma, 4 * found.sigma_gamma), (seed, gamma)
 
 
+@pytest.mark.parametrize("off", [0.0, 0.01, 0.04])
+def test_what_a_told_gamma_may_be_off_by_is_in_sigma(off):
+    """Tiles would rather have another, by less than what is named (.01) or by more (.04): sigma holds the truth."""
+    problem, rho, _ = made(COLOURS, gamma=2.0, noise=0.02, tiles=12)
+    asked, told = {"gamma": 2.0 + off}, replace(problem, transfer=Transfer("gamma", 2.0 + off), fit_transfer=False)
+    result = gauss_newton(told)
+    z = lambda: (np.abs(result.state.rho - rho)[1:] / result.sigma_rho[1:]).max()
+    before, seen = z(), SimpleNamespace(linear=False, pixels=told.pixels)
+    named = agreement.disagreements(told, result, seen, asked, {})
+    assert [w.cause for w in named] == (["transfer"] if off > 0.02 else [])
+    agreement.doubt_told(told, result, asked)
+    assert (before > 4) == (off > 0) and z() < 3 and (off > 0 or z() == before)
+
+
 def through_a_curve(problem, shape):
     """The photograph of a camera with another response."""
     return replace(problem, pixels=shape(problem.transfer.linear(problem.pixels)))

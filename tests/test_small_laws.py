@@ -114,6 +114,25 @@ def test_lenses_darken_edges_by_what_they_are_expected_to():
     assert vignetting.sigma(np.eye(vignetting.TERMS)) == pytest.approx(np.linalg.norm(numbers, axis=0))
 
 
+@pytest.mark.parametrize(
+    "k, strange",
+    [
+        ((-1.24, 1.46, -1.98), True),  # room-2391 beside a gamma of 2.03 for 1.64: below 0 at the corner
+        ((-1.10, 0.74, -0.24), False),  # the same room, gamma 1.647
+        ((-1.12, 0.80, -0.28), False),  # cos^4, 37 degrees at the corner
+        ((0.0, 0.0, 0.0), False),
+    ],
+)
+def test_a_shadow_that_no_lens_has_is_strange(k, strange):
+    cause = SimpleNamespace(of=lambda name: slice(0, vignetting.TERMS))
+    fit = SimpleNamespace(
+        taken={vignetting.NAME: {"k": np.array(k)}},
+        problem=SimpleNamespace(cause=cause),
+        result=SimpleNamespace(state=SimpleNamespace(cause=np.zeros(vignetting.TERMS))),
+    )
+    assert vignetting.is_strange(fit) == strange
+
+
 def test_halved_cells_cover_what_the_cell_did(tmp_path):
     """Each side's patches have its area, however often they were halved."""
     s = rooms.surface(tmp_path / "model.obj", rooms.room() | rooms.LAMP)

@@ -438,7 +438,7 @@ def _settled(found: Candidate, before: Candidate, leave: Leave) -> Candidate:
 def _vignetted(best: Candidate, leave: Leave) -> Candidate:
     """The fit with a vignetted lens, from other gammas as well where the first leaves something to explain."""
     first = vignetting.fitted(best, leave.lens, leave.pixel)
-    if not _is_stuck(first, best):
+    if not _is_stuck(first, best) and not (_searches_gamma(first) and vignetting.is_strange(first)):
         return first
     other = vignetting.fitted_from(best, (*STARTS, USUAL_GAMMA), leave.lens, leave.pixel)
     return max(first, other, key=lambda c: c.evidence.nats)

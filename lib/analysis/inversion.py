@@ -115,6 +115,8 @@ def _solved(task: Task, report: Report) -> Answer:
     if answer.why and answer.climb and not audit.given and not _all_mirrors(answer.climb):
         answer.ascent, found = None, answer.explained
         answer.problem, answer.result, answer.scale = found.problem, found.result, found.scale
+    if not answer.why:
+        agreement.doubt_told(answer.problem, answer.result, task.transfer)
     return answer
 
 

@@ -21,6 +21,7 @@ NAME, TERMS = "vignetting", 3
 WIDE = 2.0  # times what lenses have: standard deviations of k before anything is seen
 RISES = 0.05  # of V outwards, at most
 DEEP = 0.005  # that it falls by, at least: less is what curves leave (.2 % in small-282), and moves no reflectance
+STRANGE = 2.0  # of the unit numbers together: the usual cos^4 has .7, and one beside a gamma of 2.03 for 1.64 4.0
 LIKELY = 2  # told gammas that one step towards a shadow suits best
 # of the unit numbers, round by round of fitting and dividing: at first little more than the usual shape, or a few tiles
 # far out pass for outliers and the rest takes any shape
@@ -122,12 +123,21 @@ def fitted_from(found: Candidate, gammas, lens: Lens, pixel) -> Candidate:
     return fitted(replace(best, problem=replace(best.problem, fit_transfer=True)), lens, pixel)
 
 
+def _found(candidate: Candidate):
+    """(TERMS,) k of a fit."""
+    return candidate.taken[NAME]["k"] + change(candidate.result.state.cause[candidate.problem.cause.of(NAME)])
+
+
 def is_shadow(found: Candidate) -> bool:
     """A lens's shadow deepens outwards, and by more than nothing; else the terms have bent to something else."""
-    k = found.taken[NAME]["k"] + change(found.result.state.cause[found.problem.cause.of(NAME)])
     r2 = np.linspace(0, 1, 101)
-    V = 1 + sum(value * r2 ** (j + 1) for j, value in enumerate(k))
+    V = 1 + sum(value * r2 ** (j + 1) for j, value in enumerate(_found(found)))
     return bool((V - np.minimum.accumulate(V)).max() < RISES and V.min() < 1 - DEEP)
+
+
+def is_strange(found: Candidate) -> bool:
+    """No lens has such a shadow: it suits a gamma that is wrong."""
+    return bool(np.linalg.norm(np.linalg.solve(_lenses(), _found(found))) > STRANGE)
 
 
 def corrected(gathered: Gathered, lens: Lens, k, transfer: Transfer) -> Gathered:
