@@ -18,6 +18,7 @@ from lib.analysis.facts import USUAL_GAMMA
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Problem, Result
+from lib.analysis.uncertainty import doubts
 from lib.given.materials import Why
 from lib.given.transfer import Transfer
 from lib.given.transfer_kinds import OF_PICTURE
@@ -170,7 +171,8 @@ def _lamps_told(problem, result):
         return [], False
     little = free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
     # that a camera may mix colours, which was not taken, is no doubt of lamps: either is not as told
-    found = gauss_newton(replace(free.problem, doubted=None), start=free.start)
+    function, _ = doubts(free.problem.doubted)
+    found = gauss_newton(replace(free.problem, doubted=function), start=free.start)
     return lamps_of(problem, found, gain), little and fits(found)
 
 

@@ -43,7 +43,7 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         common[own, own] = np.outer(delta[own], delta[own])  # the points of a curve move together
         cov = cov + common
         result.shares[cause] = typical
-    function, mixing = _doubted(problem.doubted)
+    function, mixing = doubts(problem.doubted)
     if mixing is not None:
         cov = cov + normal.beside(mixing)
     if function is not None:  # the tiles' scatter holds what a bend of the function leaves there: the larger counts
@@ -66,7 +66,7 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         result.cov_cause = cov[own.stop :, own.stop :]
 
 
-def _doubted(terms):
+def doubts(terms):
     """(terms of the transfer function or None, the others or None)"""
     if terms is None:
         return None, None
