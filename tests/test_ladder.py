@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis import ladder, rungs
+from lib.analysis import ladder, misfits, rungs
 from lib.analysis.candidates import NATS
 from lib.analysis.climbing import Climb, Place
 from lib.analysis.misfits import Misfit
@@ -419,10 +419,12 @@ def test_nobody_climbs_for_the_light_of_a_sharp_floor(grazing):
 
 
 @pytest.mark.scene
-def test_what_the_threshold_lets_pass_is_in_sigma(grazing):
-    """A gloss too faint to be asked for: all stay diffuse, and nobody is surer than that allows."""
-    found, _ = grazing.found({"bottom": (0.08, 0.3, 0.2)})
-    assert kinds(found) == {}
+def test_a_gloss_that_the_threshold_lets_pass_is_found_where_it_stands_out(grazing):
+    """As a diffuse group the floor is off by .011, of which .0125 may pass, and by far more than all others."""
+    found, report = grazing.found({"bottom": (0.08, 0.3, 0.2)})
+    floor = found["groups"]["bottom"]
+    assert report["ladder"]["diffuse"]["bottom"] < misfits.THRESHOLD and kinds(found) == {"bottom": "glossy"}
+    assert off(floor, "rho_d", 0.3) < 1 and off(floor, "rho_s", 0.2) < 1
     agree(found, but=("bottom",))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib.analysis import candidates, evidence, vignetting
+from lib.analysis import candidates, evidence, misfits, vignetting
 from lib.analysis.candidates import Candidate
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Halves
@@ -148,3 +148,19 @@ def test_a_furnace_is_solved_in_its_first_step(loss):
     """Alike everywhere, E / (1 - rho): the first column of the Hessenberg matrix is as small as 1 - rho."""
     found = radiosity.solve(np.ones(6), np.full(6, 1 - loss), CUBE, tolerance=1e-9)
     np.testing.assert_allclose(found.B, 1 / loss, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "excess, keen",
+    [
+        ((0.0004, 0, 0, 0, 0, 0.0079), misfits.LEAST),  # small-9129, whose box has a sharp lobe of .08
+        ((0.0016, 0.0015, 0.0039, 0.0029, 0.0016, 0.0074), None),  # room-2242, exact: 4.6 times what is usual
+        ((0.0025, 0.003, 0.002, 0.0038, 0.0083), None),  # office
+        ((0.0004, 0, 0.003, 0, 0, 0.004), None),
+        ((), None),
+    ],
+)
+def test_a_group_that_stands_out_by_far_is_looked_at_more_closely(excess, keen):
+    found = {g: misfits.Misfit(excess=e, rms=e, noise=0.002, tiles=79, pixels=824) for g, e in enumerate(excess)}
+    assert misfits.keener(found, misfits.THRESHOLD) == keen
+    assert misfits.keener(found, 0.003) is None  # told to be keener already

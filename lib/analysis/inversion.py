@@ -31,6 +31,9 @@ MIXES = 0.4
 # times the error that another transfer function leaves beside lobes: so much it must change. A false one changed 1.2;
 # where it leaves no error, anything it changes is more
 DISTINCT = 2.0
+THROWN = (
+    0.3  # of what a group was off by, that light of mirrors leaves at most where it is all that looked like a thing
+)
 
 
 def solve(task: Task, report: Report) -> Answer:
@@ -374,6 +377,8 @@ def _strange(task, answer, is_wrong, things):
         things = things_of(task, explained, answer.audit)
     if not is_wrong:
         things = [t for t in things if not (t.is_of_print and climbed.get(t.behind[0]) == "textured")]
+    if climb is not None and agreement.fits(climb.result):
+        things = [t for t in things if not _is_thrown(t, answer)]
     return [
         *strangers.said(things, explained.problem.groups),
         *(
@@ -381,6 +386,13 @@ def _strange(task, answer, is_wrong, things):
             or strangers.things_unlike(explained, answer.audit, answer.judged, objects, climbed)
         ),
     ]
+
+
+def _is_thrown(thing, answer) -> bool:
+    """It is light that mirrors or lobes throw: under it nothing is left of what the groups behind were off by."""
+    before, now = answer.judged, answer.climb.misfits
+    left = lambda g: now[g].excess if g in now else np.inf
+    return all(g in before and left(g) < THROWN * before[g].excess for g in thing.behind[:2])
 
 
 def write_ladder(answer: Answer, folder, specular=None, mirror=None) -> dict:

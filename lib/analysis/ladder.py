@@ -108,9 +108,8 @@ class _Step:
         over = {g for g, m in here.misfits.items() if g not in settled and is_over(m, threshold)}
         over -= self._of_several_materials(over)
         self.trials, explained = {}, 0.0
-        for g in sorted({*over, *wanted}, key=self.energy, reverse=True):
-            if sure_only and g not in wanted and len(self.trials) >= FEW:
-                break
+        ordered = sorted({*over, *wanted}, key=self.energy, reverse=True)
+        for g in self._few(ordered) if sure_only else ordered:
             if self.energy(g) < 0.03 * explained and g not in wanted:
                 continue  # its error may be the other one's light: it is asked again
             tried = self._tried(g)
@@ -118,6 +117,16 @@ class _Step:
                 continue  # a reflectance for each of its objects explains more than any material of the whole group
             self.trials[g] = tried
             explained = max([explained] + [self.energy(g) for t in self.trials[g] if t.explained > 0.8])
+
+    def _few(self, ordered) -> list:
+        """Of groups, those that differ most: the greatest errors, and the one of the others that is off by most.
+
+        A small thing may throw light over a whole wall, whose error is a hundred times its own.
+        """
+        few = ordered[: max(FEW, len(self.wanted))]
+        rest = {g: m.excess for g, m in self.here.misfits.items() if g not in {*few, *self.settled} and m.judged}
+        most = max(rest, key=rest.get, default=None)
+        return few if most is None or rest[most] < misfits.LEAST else [*few, most]
 
     def _of_several_materials(self, over) -> set:
         """The groups whose objects have a reflectance each: no material of the whole group explains them."""

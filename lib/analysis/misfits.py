@@ -15,6 +15,8 @@ ENOUGH = 12  # tiles of a group without which it is not judged
 OTHER = 0.1  # relative difference of an object's reflectance from its group's that is worth a word
 UNLIKE = 0.25  # the same of an object that only its untrusted pixels tell of
 THRESHOLD = 0.0125  # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
+LEAST = 0.0056  # of it that any group may keep
+STANDS_OUT = 5.0  # times what groups usually are off by: exact rooms have up to 4.6, once 7
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,18 @@ def tolerance(misfit: Misfit, threshold):
     A small group may keep the threshold, since shadows in corners may cover it. A group of many pixels, which they do
     not cover, may keep down to less than half of it.
     """
-    return threshold * float(np.clip(np.sqrt(2500 / max(misfit.pixels, 1)), 0.45, 1))
+    return max(threshold * float(np.clip(np.sqrt(2500 / max(misfit.pixels, 1)), 0.45, 1)), min(threshold, LEAST))
+
+
+def keener(found, threshold, times=STANDS_OUT):
+    """A lower threshold where one group is off by less than it may and by far more than the others, or None.
+
+    What a small box mirrors dully may be: one was .008 off beside 0 to .0004, and 34 sigma as a diffuse one.
+    found : {group: Misfit};  times : what groups usually are off by, from which one stands out
+    """
+    judged = [m for m in found.values() if m.judged]
+    least = max(LEAST, times * float(np.median([m.excess for m in judged], axis=0))) if judged else threshold
+    return least if least < threshold and any(is_over(m, least) for m in judged) else None
 
 
 def is_over(misfit: Misfit, threshold):

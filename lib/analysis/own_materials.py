@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lib.analysis import agreement, explain, responses, vignetting
+from lib.analysis import agreement, explain, misfits, responses, vignetting
 from lib.analysis.answers import Answer, answered, looked, things_of
 from lib.analysis.candidates import Candidate, enough
 from lib.analysis.climbing import SPECULAR
@@ -22,8 +22,9 @@ from lib.analysis.gauss_newton import fit
 if TYPE_CHECKING:
     from lib.analysis.ascent import Ascent
 
+IN_DOUBT = 0.6  # times as far a group must stand out where the picture does not fit: something is wrong there anyway
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
-ALMOST_ALL = 0.8  # of the energy of all groups: one that has as much may be what is wrong with the others, too
+ALMOST_ALL = 0.7  # of the energy of all groups: one that has as much may be what is wrong with the others, too
 
 
 def materials(task, explained, audit, judged, report, leave) -> Answer:
@@ -31,6 +32,15 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
     of_groups = functools.partial(_of_groups, report=report, leave=leave)
     climbed = lambda explained, *looked: _asked_again(task, of_groups(task, explained, *looked), report, leave)
     flagged = audit.flagged(explained.problem, judged)
+    times = misfits.STANDS_OUT * (1.0 if agreement.fits(explained.result) else IN_DOUBT)
+    if not flagged and not explained.taken and (keen := misfits.keener(judged, task.threshold, times)):
+        keener = replace(audit, threshold=keen)
+        answer = of_groups(replace(task, threshold=keen), explained, keener, judged)
+        if _has_mirrors(answer) and not answer.climb.on("textured"):
+            return _asked_again(task, answer, report, leave)
+        if answer.climb:
+            keener.doubt(explained.problem, explained.result, judged)
+        return answered(explained, audit, judged)
     if not flagged or not explained.taken or explained.lobes:
         return climbed(explained, audit, judged)
     if explained.is_sure and not audit.given:

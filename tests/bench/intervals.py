@@ -2,6 +2,7 @@
 
     $ python -m tests.bench.intervals noise [seeds]                  six kinds of scene, 200 seeds of noise
     $ python -m tests.bench.intervals rooms OUT [rooms] [first]      random small rooms, one seed of noise each
+    $ python -m tests.bench.intervals shiny OUT [rooms] [first]      the same, one group a mirror or glossy
 
 noise   One scene, its light fixed, photographed again and again.  The standard deviation of a value over the seeds,
         divided by the part of sigma that noise alone makes (the formula stands here, apart from lib/), is 1 if that
@@ -10,6 +11,7 @@ noise   One scene, its light fixed, photographed again and again.  The standard 
 rooms   A room, a lamp, boxes, paints, a camera and a gamma of each seed's own, rendered with four times as many patches
         as the fit has, and then index, gather and fit as `make` runs them.  OUT/rooms.jsonl has a line for each room,
         and is gone on with; the table is of all its lines.  Rooms are resampled whole for the interval of the coverage.
+shiny   The same with a wall, the floor or a box that is a mirror or glossy, into OUT/shiny.jsonl.
 """
 
 import contextlib
@@ -171,6 +173,19 @@ def random_room(seed):
     return objects, camera, paints, float(random.uniform(1.8, 2.6)), seed % 3 != 0
 
 
+def shiny(seed, paints, told):
+    """The paints with one group a mirror or glossy: ("mirror", rho_s) or (alpha, rho_d, rho_s).
+
+    told : the lamp is; else the floor is the reference
+    """
+    random = np.random.default_rng([8, seed])
+    group = str(random.choice(["north", "box0", "bottom"][: 3 if told else 2]))
+    if random.random() < 0.4:
+        return paints | {group: ("mirror", float(random.uniform(0.3, 0.95)))}
+    alpha = float(np.exp(random.uniform(np.log(0.04), np.log(0.25))))
+    return paints | {group: (alpha, float(random.uniform(0.05, 0.5)), float(random.uniform(0.05, 0.4)))}
+
+
 def stage(name, folder, *words):
     """The stage's work in this process, with the options that `make` gives it."""
     spec = importlib.util.spec_from_file_location(f"stages_{name}", ROOT / "stages" / f"{name}.py")
@@ -183,11 +198,12 @@ def stage(name, folder, *words):
         module.main(module.options().parse_args(words))
 
 
-def measured(seed):
+def measured(seed, what):
     """A row of one room: status, and (quantity, value, truth, sigma) of all that is claimed."""
     from lib.given import image
 
     objects, camera, paints, gamma, told = random_room(seed)
+    paints = shiny(seed, paints, told) if what == "shiny" else paints
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         made = studio(folder, objects, camera, **FINE)
@@ -205,27 +221,47 @@ def measured(seed):
         light = ("--formfactors", "formfactors.npz", "--gather", "gather.npz", "--audit", "audit.npz")
         stage("gather", folder, *seen, "--trusted", "trusted.png", *light)
         facts = ("--lamps", json.dumps(lamps), "--reference", json.dumps(reference))
-        stage("fit", folder, *seen, *light, *facts, "--materials", "materials.json")
+        out = ("--materials", "materials.json", "--specular", "specular.npz", "--mirror", "mirror.png")
+        stage("fit", folder, *seen, *light, *facts, *out)
         found = json.loads((folder / "materials.json").read_text())
-    claims = []
+    claims, kinds = [], {}
     for group, got in found["groups"].items():
-        if got["identified"] and got["rho_d"] and got["sigma"] and group != "lamp" and group not in reference:
-            claims.append(("rho", got["rho_d"][0], paints[group], got["sigma"]["rho_d"][0]))
+        if not got["identified"] or not got["sigma"] or group == "lamp" or group in reference:
+            continue
+        paint, sigma = paints[group], got["sigma"]
+        if not isinstance(paint, tuple):
+            paint = (None, paint, None)
+        alpha, rho_d, rho_s = ("mirror", 0.0, paint[1]) if paint[0] == "mirror" else paint
+        kinds[group] = [
+            got["kind"],
+            "diffuse" if alpha is None else "coloured_mirror" if alpha == "mirror" else "glossy",
+        ]
+        if got["rho_d"] and rho_d and sigma.get("rho_d"):
+            claims.append(("rho", got["rho_d"][0], rho_d, sigma["rho_d"][0]))
+        if rho_s is not None and got.get("rho_s") and sigma.get("rho_s"):
+            claims.append(("rho_s", got["rho_s"][0], rho_s, sigma["rho_s"][0]))
+        if isinstance(alpha, float) and got.get("alpha") and sigma.get("alpha"):
+            claims.append(("alpha", got["alpha"][0], alpha, np.max(sigma["alpha"])))
+    claims = [claim for claim in claims if claim[3] is not None]
     lamp, transfer = found["lamps"]["lamp"], found["transfer"]
     if not told and lamp["identified"] and lamp["sigma"]:
         claims.append(("lamp", lamp["emittance"][0], power, lamp["sigma"]["emittance"][0]))
     if transfer["kind"] == "gamma":
         claims.append(("gamma", transfer["gamma"], gamma, transfer["sigma"]))
-    return {"seed": seed, "status": found["status"], "told": told, "claims": claims}
+    wrong = {group: pair for group, pair in kinds.items() if pair[0] != pair[1]}
+    why = [w["cause"] for w in found["why"] or []]
+    return {"seed": seed, "status": found["status"], "told": told, "claims": claims, "wrong": wrong, "why": why}
 
 
 def table(rows):
     """Lines of text: of each quantity how many of the 95 % intervals hold, and the interval of that."""
     green = [r for r in rows if r["status"] == "converged"]
-    others = [(r["seed"], r["status"]) for r in rows if r not in green]
+    others = [(r["seed"], r["status"], *r.get("why", ())) for r in rows if r not in green]
     yield f"{len(rows)} rooms, {len(green)} converged; others: {others}"
+    if wrong := {r["seed"]: r["wrong"] for r in green if r.get("wrong")}:
+        yield f"other kinds than they are: {wrong}"
     yield "quantity      n  held %   (95 % of it)   rms sigma   worst   median sigma / value"
-    for quantity in ("rho", "gamma", "lamp"):
+    for quantity in ("rho", "gamma", "lamp", "rho_s", "alpha"):
         by_room = [[(v, t, s) for q, v, t, s in r["claims"] if q == quantity] for r in green]
         by_room = [np.array(c) for c in by_room if c]
         if not by_room:
@@ -257,12 +293,12 @@ def main(what, *words):
         return
     out = Path(words[0])
     out.mkdir(parents=True, exist_ok=True)
-    path = out / "rooms.jsonl"
+    path = out / f"{what}.jsonl"
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     count, first = (int(w) for w in (*words[1:], *("100", "1")[len(words) - 1 :]))
     for seed in range(first, first + count):
         if seed not in {r["seed"] for r in rows}:
-            rows.append(measured(seed))
+            rows.append(measured(seed, what))
             with open(path, "a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
     print(*table(rows), sep="\n")
