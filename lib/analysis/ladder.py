@@ -40,12 +40,22 @@ FEW, SURE, PROGRESS = 3, 0.8, 0.7
 
 
 def climb(
-    site: Site, result: Result, scale, *, given=None, things=(), threshold=misfits.THRESHOLD, trace=None, options=None
+    site: Site,
+    result: Result,
+    scale,
+    *,
+    given=None,
+    things=(),
+    threshold=misfits.THRESHOLD,
+    small=True,
+    trace=None,
+    options=None,
 ) -> Climb:
     """From the diffuse fit to every group's rung.
 
     given : {group number: kind} from scene.yaml;  things : that may stand before groups, of strangers.things
     threshold : display RMSE beyond noise that a group may keep
+    small : where the picture disagrees, small things are asked that may be what is wrong with all others
     trace : called with the round (0 before the first trial), the name of the step and the Result after each fit
     options : of gauss_newton.gauss_newton
     """
@@ -57,7 +67,7 @@ def climb(
         here = fitted(here)
     wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}
     for here.rounds in range(1, MOST_ROUNDS + 1):
-        step = _Step(site, here, wanted, settled, threshold, things, sure_only=not fits(here.result))
+        step = _Step(site, here, wanted, settled, threshold, things, sure_only=not fits(here.result), small=small)
         taken = step.taken()
         if not taken:
             break
@@ -94,7 +104,7 @@ class _Choice(NamedTuple):
 class _Step:
     """One round of the climb: which groups are over, what rungs would explain of them, and which are taken."""
 
-    def __init__(self, site: Site, here: Climb, wanted, settled, threshold, things=(), sure_only=False):
+    def __init__(self, site: Site, here: Climb, wanted, settled, threshold, things=(), sure_only=False, small=True):
         """wanted : {group: kind} that scene.yaml names and that is still to be given;  settled : groups that stay
 
         things : that may stand before groups. Some show a sharp patch, which no dull lobe explains (`covered`), some
@@ -109,7 +119,9 @@ class _Step:
         over -= self._of_several_materials(over)
         self.trials, explained = {}, 0.0
         ordered = sorted({*over, *wanted}, key=self.energy, reverse=True)
-        for g in self._few(ordered) if sure_only else ordered:
+        for g in self._few(ordered, small) if sure_only else ordered:
+            if g not in over and g not in wanted and explained:
+                break
             if self.energy(g) < 0.03 * explained and g not in wanted:
                 continue  # its error may be the other one's light: it is asked again
             tried = self._tried(g)
@@ -118,12 +130,13 @@ class _Step:
             self.trials[g] = tried
             explained = max([explained] + [self.energy(g) for t in self.trials[g] if t.explained > 0.8])
 
-    def _few(self, ordered) -> list:
-        """Of groups, those that differ most: the greatest errors, and the one of the others that is off by most.
-
-        A small thing may throw light over a whole wall, whose error is a hundred times its own.
+    def _few(self, ordered, small) -> list:
+        """Of groups, those that differ most: the greatest errors, and the one of the others that is off by most, where
+        these explain nothing: a small thing may throw light over a whole wall, whose error is a hundred times its own.
         """
         few = ordered[: max(FEW, len(self.wanted))]
+        if not small:
+            return few
         rest = {g: m.excess for g, m in self.here.misfits.items() if g not in {*few, *self.settled} and m.judged}
         most = max(rest, key=rest.get, default=None)
         return few if most is None or rest[most] < misfits.LEAST else [*few, most]

@@ -24,13 +24,16 @@ if TYPE_CHECKING:
 
 IN_DOUBT = 0.6  # times as far a group must stand out where the picture does not fit: something is wrong there anyway
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
+HALF = 0.5  # of what groups are off by, that a climb leaves at most where it is right about most
 ALMOST_ALL = 0.7  # of the energy of all groups: one that has as much may be what is wrong with the others, too
 
 
 def materials(task, explained, audit, judged, report, leave) -> Answer:
     """What is left is the groups' own, where that explains as much as the causes that were taken."""
     of_groups = functools.partial(_of_groups, report=report, leave=leave)
-    climbed = lambda explained, *looked: _asked_again(task, of_groups(task, explained, *looked), report, leave)
+    climbed = lambda explained, *looked, **how: _asked_again(
+        task, of_groups(task, explained, *looked, **how), report, leave
+    )
     flagged = audit.flagged(explained.problem, judged)
     times = misfits.STANDS_OUT * (1.0 if agreement.fits(explained.result) else IN_DOUBT)
     if not flagged and not explained.taken and (keen := misfits.keener(judged, task.threshold, times)):
@@ -48,7 +51,7 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
         if not _has_mirrors(caused):
             return caused
     bare = explained.without_causes(**task.options)
-    answer = climbed(bare, *looked(task, bare))
+    answer = climbed(bare, *looked(task, bare), small=False)
     if not explained.is_sure:
         return answer  # what told mirrors throw looks like many a cause
     if audit.given:
@@ -98,8 +101,8 @@ def _under_another_response(task, answer, report, leave) -> Answer:
     return other if other.climb and other.nats >= answer.nats + enough(answer.problem) else answer
 
 
-def _of_groups(task, explained, audit, judged, report, leave) -> Answer:
-    """The ladder where a diffuse surface does not explain the groups."""
+def _of_groups(task, explained, audit, judged, report, leave, small=True) -> Answer:
+    """The ladder where a diffuse surface does not explain the groups. small : of ladder.climb"""
     if not audit.flagged(explained.problem, judged):
         audit.doubt(explained.problem, explained.result, judged)
         return answered(explained, audit, judged)
@@ -117,6 +120,7 @@ def _of_groups(task, explained, audit, judged, report, leave) -> Answer:
         lobe_rays=task.lobe_rays,
         given=audit.given,
         threshold=task.threshold,
+        small=small,
         things=things_of(task, explained, audit),
         trace=lambda round, step, fitted: report.trace(
             round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
@@ -127,6 +131,9 @@ def _of_groups(task, explained, audit, judged, report, leave) -> Answer:
     if not agreement.fits(climb.result) and not audit.given:
         if agreement.fits(explained.result):
             audit.doubt(explained.problem, explained.result, judged)
+            if climb.on(*SPECULAR) and _energy(climb.misfits) < HALF * _energy(judged):
+                # a mirror explains most, and then something else is seen to be wrong: the diffuse fit fits no better
+                explained.result.correlated = climb.result.correlated
         return answer  # what is wrong is not one material: nothing is made up from it
     answer.ladder = ascent.summary(done)
     answer.warnings = ascent.warnings(done)
@@ -139,6 +146,11 @@ def _of_groups(task, explained, audit, judged, report, leave) -> Answer:
     audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
     answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
     return answer
+
+
+def _energy(found) -> float:
+    """What all groups are off by. found : {group: Misfit}"""
+    return sum(m.energy for m in found.values() if m.judged)
 
 
 def _with_causes(task, explained, done, leave) -> Ascent:
