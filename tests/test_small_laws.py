@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib.analysis import candidates, evidence, misfits, vignetting
+from lib.analysis import candidates, evidence, inversion, misfits, vignetting
 from lib.analysis.candidates import Candidate
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Halves
@@ -164,3 +164,18 @@ def test_a_group_that_stands_out_by_far_is_looked_at_more_closely(excess, keen):
     found = {g: misfits.Misfit(excess=e, rms=e, noise=0.002, tiles=79, pixels=824) for g, e in enumerate(excess)}
     assert misfits.keener(found, misfits.THRESHOLD) == keen
     assert misfits.keener(found, 0.003) is None  # told to be keener already
+
+
+@pytest.mark.parametrize(
+    "before, after, thrown",
+    [
+        ((0.058, 0.013), (0.0, 0.0), True),  # a mirror's bright patches on ceiling and wall
+        ((0.058, 0.013), (0.0, 0.012), False),  # one of the two is off still
+        ((0.0009, 0.0009), (0.001, 0.001), True),  # hardly to be seen before, and less than a thing leaves
+        ((0.004, 0.004), (0.003, 0.003), False),
+    ],
+)
+def test_light_that_mirrors_throw_is_no_thing(before, after, thrown):
+    of = lambda values: {g: misfits.Misfit(e, e, 0.002, 79, 8000) for g, e in enumerate(values)}
+    answer = SimpleNamespace(judged=of(before), climb=SimpleNamespace(misfits=of(after)))
+    assert inversion._is_thrown(SimpleNamespace(behind=[0, 1]), answer) == thrown

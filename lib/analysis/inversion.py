@@ -31,9 +31,8 @@ MIXES = 0.4
 # times the error that another transfer function leaves beside lobes: so much it must change. A false one changed 1.2;
 # where it leaves no error, anything it changes is more
 DISTINCT = 2.0
-THROWN = (
-    0.3  # of what a group was off by, that light of mirrors leaves at most where it is all that looked like a thing
-)
+NOTHING = 0.0015  # display, that a group is off by where no thing stands before it: the least would leave .002
+THROWN = 0.3  # of what a group was off by, that mirrors' light leaves where that is all that looked like a thing
 
 
 def solve(task: Task, report: Report) -> Answer:
@@ -392,7 +391,7 @@ def _is_thrown(thing, answer) -> bool:
     """It is light that mirrors or lobes throw: under it nothing is left of what the groups behind were off by."""
     before, now = answer.judged, answer.climb.misfits
     left = lambda g: now[g].excess if g in now else np.inf
-    return all(g in before and left(g) < THROWN * before[g].excess for g in thing.behind[:2])
+    return all(g in before and left(g) < max(THROWN * before[g].excess, NOTHING) for g in thing.behind[:2])
 
 
 def write_ladder(answer: Answer, folder, specular=None, mirror=None) -> dict:
