@@ -85,7 +85,7 @@ class Audit:
         """direct, among : of `misfits`"""
         judged = self.misfits(problem, result, direct, among)
         flagged = sum(judged[g].energy for g in self.flagged(problem, judged) if g in judged)
-        return Energy(flagged, sum(m.energy for m in judged.values() if m.judged))
+        return Energy(flagged, misfits.energy(judged))
 
     def doubt(self, problem: Problem, result: Result, judged, places=None):
         """Widen sigma of groups that differ all the same, and say so."""

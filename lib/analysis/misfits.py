@@ -15,7 +15,7 @@ ENOUGH = 12  # tiles of a group without which it is not judged
 OTHER = 0.1  # relative difference of an object's reflectance from its group's that is worth a word
 UNLIKE = 0.25  # the same of an object that only its untrusted pixels tell of
 THRESHOLD = 0.0125  # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
-LEAST = 0.0056  # of it that any group may keep
+LEAST = 0.0056  # of it, that a group is off by which stands out: what large ones may keep
 STANDS_OUT = 5.0  # times what groups usually are off by: exact rooms have up to 4.6, once 7
 
 
@@ -181,13 +181,18 @@ def _own_ratio(B, seen):
 # -- what follows from a misfit
 
 
+def energy(found) -> float:
+    """What all groups that can be judged are off by. found : {group: Misfit}"""
+    return sum(m.energy for m in found.values() if m.judged)
+
+
 def tolerance(misfit: Misfit, threshold):
     """The error that a group may keep.
 
     A small group may keep the threshold, since shadows in corners may cover it. A group of many pixels, which they do
     not cover, may keep down to less than half of it.
     """
-    return max(threshold * float(np.clip(np.sqrt(2500 / max(misfit.pixels, 1)), 0.45, 1)), min(threshold, LEAST))
+    return threshold * float(np.clip(np.sqrt(2500 / max(misfit.pixels, 1)), 0.45, 1))
 
 
 def keener(found, threshold, times=STANDS_OUT):
@@ -197,8 +202,9 @@ def keener(found, threshold, times=STANDS_OUT):
     found : {group: Misfit};  times : what groups usually are off by, from which one stands out
     """
     judged = [m for m in found.values() if m.judged]
-    least = max(LEAST, times * float(np.median([m.excess for m in judged], axis=0))) if judged else threshold
-    return least if least < threshold and any(is_over(m, least) for m in judged) else None
+    least = max(LEAST, times * float(np.median([m.excess for m in judged]))) if judged else threshold
+    stands_out = any(m.excess > max(tolerance(m, least), LEAST) for m in judged)
+    return least if stands_out and least < threshold else None
 
 
 def is_over(misfit: Misfit, threshold):

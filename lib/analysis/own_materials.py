@@ -131,7 +131,7 @@ def _of_groups(task, explained, audit, judged, report, leave, small=True) -> Ans
     if not agreement.fits(climb.result) and not audit.given:
         if agreement.fits(explained.result):
             audit.doubt(explained.problem, explained.result, judged)
-            if climb.on(*SPECULAR) and _energy(climb.misfits) < HALF * _energy(judged):
+            if climb.on(*SPECULAR) and misfits.energy(climb.misfits) < HALF * misfits.energy(judged):
                 # a mirror explains most, and then something else is seen to be wrong: the diffuse fit fits no better
                 explained.result.correlated = climb.result.correlated
         return answer  # what is wrong is not one material: nothing is made up from it
@@ -146,11 +146,6 @@ def _of_groups(task, explained, audit, judged, report, leave, small=True) -> Ans
     audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
     answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
     return answer
-
-
-def _energy(found) -> float:
-    """What all groups are off by. found : {group: Misfit}"""
-    return sum(m.energy for m in found.values() if m.judged)
 
 
 def _with_causes(task, explained, done, leave) -> Ascent:
