@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib.analysis import candidates, evidence, inversion, misfits, vignetting
+from lib.analysis import agreement, candidates, evidence, inversion, misfits, vignetting
 from lib.analysis.candidates import Candidate
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import Halves
@@ -179,3 +179,22 @@ def test_light_that_mirrors_throw_is_no_thing(before, after, thrown):
     of = lambda values: {g: misfits.Misfit(e, e, 0.002, 79, 8000) for g, e in enumerate(values)}
     answer = SimpleNamespace(judged=of(before), climb=SimpleNamespace(misfits=of(after)))
     assert inversion._is_thrown(SimpleNamespace(behind=[0, 1]), answer) == thrown
+
+
+@pytest.mark.parametrize("nats, promise, doubted", [(0.0, 500.0, True), (-500.0, 500.0, False), (0.0, 0.0, False)])
+def test_srgb_under_told_lamps_is_doubted_where_others_explain_as_much(nats, promise, doubted):
+    """Sigma of what was found holds what a gamma and other lamps would change; of what was told there is none."""
+    problem, *_ = made(COLOURS)
+    state = lambda rho: SimpleNamespace(rho=np.array([[rho], [0.3]]), E=np.ones((1, 1)), rho_s=None, bend=None)
+    shown = lambda kind, nats, rho: SimpleNamespace(
+        kind=kind,
+        problem=problem,
+        evidence=SimpleNamespace(nats=nats),
+        result=SimpleNamespace(state=state(rho)),
+        once=lambda question, ask: {"lamps": promise, "freed": shown("gamma", nats, 0.86)}[question],
+    )
+    sigma = np.array([[0.003], [0.0]])  # the second is a reference
+    result = SimpleNamespace(state=state(0.87), sigma_rho=sigma, sigma_E=np.zeros((1, 1)), sigma_rho_s=None)
+    result.sigma_bend = None
+    agreement.doubt_srgb(shown("gamma", nats, 0.9), shown("srgb", 0.0, 0.87), result)
+    np.testing.assert_allclose(result.sigma_rho, [[np.hypot(0.003, 0.01) if doubted else 0.003], [0.0]])

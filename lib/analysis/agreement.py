@@ -127,13 +127,20 @@ def doubt_told(problem, result, asked):
     found, gain, least = _free_gamma(problem, result)
     if gain > 0:
         usual = RIGHT if problem.specular is not None else 0.0
-        here, there = result.state, found.result.state
+        there = found.result.state
         told = asked.get("gamma", USUAL_GAMMA) if isinstance(asked, dict) else USUAL_GAMMA
-        share = np.clip((gain - usual) / (least - usual), 0, TOLD_TO / max(abs(there.gamma - told), TOLD_TO))
-        for name in ("rho", "E", "rho_s", "bend"):
-            sigma, values = getattr(result, f"sigma_{name}"), getattr(here, name)
-            if sigma is not None and values is not None:
-                setattr(result, f"sigma_{name}", np.hypot(sigma, share * (getattr(there, name) - values)))
+        share = np.sqrt(max(gain - usual, 0) / (least - usual))  # nats grow as the square of what is wrong
+        share = min(share, TOLD_TO / max(abs(there.gamma - told), TOLD_TO))
+        doubt(result, there, share)
+
+
+def doubt(result: Result, other, share=1.0):
+    """Sigma of the values that were found holds a share of what another explanation's State has for them."""
+    for name in ("rho", "E", "rho_s", "bend"):
+        sigma, values = getattr(result, f"sigma_{name}"), getattr(result.state, name)
+        if sigma is not None and values is not None:
+            off = share * (getattr(other, name) - values)
+            setattr(result, f"sigma_{name}", np.where(sigma > 0, np.hypot(sigma, off), sigma))
 
 
 def _is_told(asked):
@@ -215,9 +222,30 @@ def _lamp(name, ratio, gain, spared):
     return Why("lamp_colour" if coloured else "lamp_power", name, text, float(gain))
 
 
+def with_lamps_freed(first: Candidate) -> Candidate:
+    """The fit with lamps of any emittance and the same causes."""
+    return first.once("freed", lambda c: Candidate.of(freed(c.problem), c.taken, start=c.start))
+
+
+def doubt_srgb(given: Candidate | None, best: Candidate, result: Result):
+    """Where sRGB was taken under told lamps, and a gamma and other lamps explain as much, sigma holds what these
+    change: lamps told .94 of what they were looked like sRGB in a white room, 12 sigma off and green.
+
+    given, best : of Explained
+    """
+    if given is None or best.kind != "srgb" or given.kind != "gamma" or not are_told(given.problem):
+        return
+    if promise_of_lamps(given) < enough(given.problem):
+        return
+    free = with_lamps_freed(given)
+    if free.evidence.nats > best.evidence.nats - enough(given.problem):
+        doubt(result, free.result.state)
+
+
 def promise_of_lamps(found: Candidate) -> float:
     """Nats that one step brings in which the emittances that are told are free."""
-    return _freed_by_one_step(found.problem, found.result.at) - found.evidence.nats
+    by_one_step = lambda found: _freed_by_one_step(found.problem, found.result.at) - found.evidence.nats
+    return found.once("lamps", by_one_step)
 
 
 def _freed_by_one_step(problem, at: Equations):

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lib.analysis import glow, lamp_lobe, matrix, patterned, responses, unlike, vignetting
-from lib.analysis.agreement import are_told, fits, freed, in_doubt, lamps_of, out_of_range, promise_of_lamps
+from lib.analysis import agreement, glow, lamp_lobe, matrix, patterned, responses, unlike, vignetting
+from lib.analysis.agreement import are_told, fits, in_doubt, lamps_of, out_of_range, promise_of_lamps, with_lamps_freed
 from lib.analysis.candidates import MIXING, NATS, USUAL, Candidate, enough
 from lib.analysis.equations import Unknowns
 from lib.analysis.facts import USUAL_GAMMA
@@ -227,17 +227,12 @@ def lamps_alone(first: Candidate, promised: dict, leave: Leave) -> Candidate | N
     most = max(promised.values())
     if promised.get(LAMPS, -np.inf) < most:
         return None
-    free = _with_lamps_freed(first)
+    free = with_lamps_freed(first)
     if free.evidence.nats - first.evidence.nats < most:
         return None
     asks = leave.response and first.kind == "gamma" and promised.get("response", -np.inf) >= enough(first.problem)
     is_srgb = asks and responses.under_srgb(first).evidence.nats >= free.evidence.nats - enough(first.problem)
     return None if is_srgb else free
-
-
-def _with_lamps_freed(first: Candidate) -> Candidate:
-    """The fit with lamps of any emittance and the same causes."""
-    return first.once("freed", lambda c: Candidate.of(freed(c.problem), c.taken, start=c.start))
 
 
 def other_transfer(first: Candidate, promised: dict, leave: Leave) -> tuple[Candidate, dict] | None:
@@ -254,7 +249,7 @@ def other_transfer(first: Candidate, promised: dict, leave: Leave) -> tuple[Cand
 def promises(first: Candidate, leave: Leave) -> dict:
     """{cause: nats} that one step brings: of the causes of the camera, of LAMPS that are told, of one OBJECT."""
     found = _promises(first, leave) | {OBJECT: _of_one_object(first)}
-    return found | ({LAMPS: first.once(LAMPS, promise_of_lamps)} if are_told(first.problem) else {})
+    return found | ({LAMPS: promise_of_lamps(first)} if are_told(first.problem) else {})
 
 
 def lamps_told_wrong(found: Explained, leave: Leave, **options) -> list[Why]:
@@ -291,10 +286,10 @@ def _with_free_lamps(found: Explained, leave: Leave):
     What was found, where lamps promise nothing beside it.
     """
     given, best = found.given, found.best
-    problem, least = freed(given.problem), best.evidence.nats - enough(given.problem)
-    alone = given.once(LAMPS, promise_of_lamps)
+    problem, least = agreement.freed(given.problem), best.evidence.nats - enough(given.problem)
+    alone = promise_of_lamps(given)
     if len(found.taken) > 1 or alone >= ALONE * (best.evidence.nats - given.evidence.nats):
-        first = _with_lamps_freed(given)
+        first = with_lamps_freed(given)
         if len(found.taken) > 1 or first.evidence.nats >= least:
             return _climbed(first, leave)[:2]
     if best.kind == "curve" and leave.response:  # it bends to lamps that are told wrongly
@@ -303,7 +298,7 @@ def _with_free_lamps(found: Explained, leave: Leave):
             return simple, []
     if promise_of_lamps(best) < ALMOST * _enough_of_lamps(problem):
         return best, found.taken
-    return _with_lamps_freed(best), found.taken
+    return with_lamps_freed(best), found.taken
 
 
 def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) -> Explained:

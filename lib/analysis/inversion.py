@@ -119,6 +119,8 @@ def _solved(task: Task, report: Report) -> Answer:
         answer.problem, answer.result, answer.scale = found.problem, found.result, found.scale
     if not answer.why:
         agreement.doubt_told(answer.problem, answer.result, task.transfer)
+        if not answer.climb:
+            agreement.doubt_srgb(answer.explained.given, answer.explained.best, answer.result)
     return answer
 
 
