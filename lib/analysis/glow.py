@@ -26,6 +26,7 @@ NAME = "glow"
 UNEVEN = 0.4  # standard deviation of the change from the middle of the model to an end of it, a share of the glow
 CURVED = 0.3  # the same of what goes with the squares and products of the axes
 BEYOND = 0.2  # the same of what goes with their cubes, which is not fitted
+FEWER = 4  # than were shot: so many rays tell how unsure it is
 
 
 def is_dark(problem: Problem) -> bool:
@@ -38,8 +39,9 @@ def unsure(view: View, factors: FormFactors, found: Gathered) -> list:
     around, tiles = factors.outside, found.tiles
     surface = surfaces.surface(view.model, factors.lamps)
     p, side = surfaces.backproject(surface, view.camera, np.repeat(tiles.facet, np.diff(tiles.start)), tiles.pixel)
-    to_patches = form_factors.from_patches(surface, factors.mesh, outside.RAYS, seed=3)
-    to_tiles = form_factors.from_points(surface, p, tiles.start, side[tiles.start[:-1]], tiles.rows.shot, seed=15)
+    to_patches = form_factors.from_patches(surface, factors.mesh, outside.RAYS // FEWER, seed=3)
+    n_rays = -(-tiles.rows.shot // FEWER)
+    to_tiles = form_factors.from_points(surface, p, tiles.start, side[tiles.start[:-1]], n_rays, seed=15)
     leaving = [outside.Leaving.of(surface, around, *way) for way in (to_patches, to_tiles)]
     there, seen = (rays.sums(around.beyond(rays.q)) for rays in leaving)
     D, D_tile = factors.lamp_factor[:, around.first], tiles.direct[:, around.first]
@@ -59,6 +61,20 @@ def may_come_in(factors: FormFactors, found: Gathered, fit: Candidate) -> bool:
     """
     opened = outside.openings_to_light(factors)
     return outside.is_open(opened) and _promise(fit, opened, outside.openings(found.tiles.rows)) > 0
+
+
+def in_the_dark(found: Candidate, problem: Problem, unsure) -> Candidate:
+    """The same fit, of a problem that knows the outside, from where no light comes yet.
+
+    found : which does not;  unsure : of Problem.unsure_outside
+    """
+    more = len(problem.lamps) - len(found.problem.lamps)
+    none = lambda D: None if D is None else np.pad(D, ((0, 0), (0, more)))
+    known = tuple((none(dD), none(dD_tile)) for dD, dD_tile in found.problem.unsure)
+    problem = replace(problem, unsure=known, unsure_outside=unsure, variance=found.problem.variance)
+    state = found.result.state
+    E = np.concatenate([state.E, np.zeros((more, state.E.shape[1]))])
+    return Candidate.of(problem, start=Unknowns(state.rho, E, state.transfer))
 
 
 def promise(found: Candidate) -> float:

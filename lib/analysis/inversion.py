@@ -23,6 +23,7 @@ from lib.analysis.evidence import evidence
 from lib.analysis.explain import Explained, Leave
 from lib.analysis.lamp_lobe import LampLobes
 from lib.analysis.own_materials import materials
+from lib.analysis.problem import Problem
 from lib.analysis.task import Task
 from lib.core.report import Report
 
@@ -58,10 +59,11 @@ def _solved(task: Task, report: Report) -> Answer:
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
         if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
             return answer
-    leave, first = _begun(task, edges, trace)
+    leave, first = _leave(task), _begun(task, edges, trace)
     if task.around is not None and isinstance(first, Candidate) and glow.may_come_in(*task.lambertian, first):
         task = task.around()
-        leave, first = _begun(task, edges, trace)
+        unsure = functools.cache(lambda: glow.unsure(task.view(), task.factors, task.found))
+        leave, first = _leave(task), glow.in_the_dark(first, task.problem, unsure)
     may_move = may_refine and "lamp_place" in task.allowed and not edges.why
     if task.can_look and (answer := _at_once(task, first, leave, may_move, edges)):
         return answer
@@ -124,11 +126,14 @@ def _solved(task: Task, report: Report) -> Answer:
     return answer
 
 
-def _begun(task, edges, trace):
-    """(Leave, the rough fit under the given facts)."""
-    problem = task.problem if edges is None else replace(task.problem, **_unsure(task, edges))
-    leave = Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
-    return leave, explain.started(problem, leave, task.gamma, trace)
+def _leave(task) -> Leave:
+    return Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
+
+
+def _begun(task, edges, trace) -> Candidate | Problem:
+    """The rough fit under the given facts."""
+    problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
+    return explain.started(problem, _leave(task), task.gamma, trace)
 
 
 def _mirrors_suffice(answer) -> bool:
@@ -298,15 +303,12 @@ def _edges(task):
     return places.by_edges(task.view(), task.lamps)
 
 
-def _unsure(task, edges):
-    """By what the lamps' light is unsure, since things stand no more surely than the edges tell; and light from
-    outside, which no one has measured."""
+def _unsure(task, edges) -> tuple:
+    """By what the lamps' light is unsure, since things stand no more surely than the edges tell."""
     from lib.analysis import refine
 
     loose = edges.registration.loose if edges.registration else {}
-    lamps = refine.unsure(task.view(), task.factors, task.found, task.refined, loose)
-    from_outside = functools.cache(lambda: glow.unsure(task.view(), task.factors, task.found))
-    return {"unsure": tuple(lamps), "unsure_outside": None if task.factors.outside is None else from_outside}
+    return tuple(refine.unsure(task.view(), task.factors, task.found, task.refined, loose))
 
 
 def _by_edges(task, edges):
