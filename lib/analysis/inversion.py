@@ -80,6 +80,7 @@ def _solved(task: Task, report: Report) -> Answer:
     may_throw = leave.lobes is not None and leave.lobes.asked
     is_patch = not may_throw and any(thing.is_sharp and thing.on_plain for thing in things)
     may_move = may_move and not is_patch and bool(explained.taken or in_doubt(explained.result))
+    beside_mirrors = functools.partial(_by_light, task, explained, beside_mirrors=True)
     refined = _by_light(task, explained) if may_move else None
     if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
         return answered(explained, refined=refined, why=refined.why)
@@ -107,8 +108,10 @@ def _solved(task: Task, report: Report) -> Answer:
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
         return answer
     ladder = _summary(task, explained.problem, judged) | answer.ladder
+    if may_move and not agreement.fits(answer.result) and (refined := beside_mirrors()):
+        return answered(explained, refined=refined, why=refined.why, ladder=ladder)
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
-        task, answer = in_lobes, answered(lobed, *looked(in_lobes, lobed))  # nothing suffices, lobes come nearest
+        task, answer = in_lobes, _nearest(lobed, answer, *looked(in_lobes, lobed))
     answer.ladder = ladder
     answer.warnings += [
         f"lamp {lamp!r}: no lobe fits the photograph better than an even lamp"
@@ -124,6 +127,13 @@ def _solved(task: Task, report: Report) -> Answer:
         if not answer.climb:
             agreement.doubt_srgb(answer.explained.given, answer.explained.best, answer.result)
     return answer
+
+
+def _nearest(lobed, plain: Answer, audit, judged) -> Answer:
+    """Nothing suffices, and lobes of lamps come nearest. They fit no better than what they do not explain, either."""
+    audit.doubt(lobed.problem, lobed.result, judged)
+    lobed.result.correlated = max(lobed.result.correlated, plain.result.correlated)
+    return answered(lobed, audit, judged)
 
 
 def _leave(task) -> Leave:
@@ -325,11 +335,11 @@ def _lamp_in_doubt(task, explained, above) -> bool:
     return refine.lamp_in_doubt(task.view(), task.factors, task.found, explained, task.place_sigma_m, above)
 
 
-def _by_light(task, explained, above=0.0):
-    """The model with the lamp where its light has it, or None. above : of refine.by_light"""
+def _by_light(task, explained, above=0.0, beside_mirrors=False):
+    """The model with the lamp where its light has it, or None. above, beside_mirrors : of refine.by_light"""
     from lib.analysis import refine
 
-    audit = functools.partial(audit_of, task)
+    audit = None if beside_mirrors else functools.partial(audit_of, task)
     refined = refine.by_light(task.view(), task.factors, task.found, explained, audit, task.place_sigma_m, above)
     return refined if refined is not None and refined.keeps_parts else None
 

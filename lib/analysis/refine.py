@@ -78,7 +78,7 @@ def by_light(
     factors: FormFactors,
     found: Gathered,
     explained: Explained,
-    audit: Callable[[Explained], Audit],
+    audit: Callable[[Explained], Audit] | None,
     sigma_m,
     above=0.0,
 ):
@@ -86,7 +86,8 @@ def by_light(
 
     In place of the causes that were taken, or beside them.
 
-    audit : makes it;  sigma_m : {lamp: how surely it stands where it is drawn}, LAMP_PLACE_M where nothing is said
+    audit : makes it, None: there may be mirrors and lobes beside it
+    sigma_m : {lamp: how surely it stands where it is drawn}, LAMP_PLACE_M where nothing is said
     above : nats that something else promises, which a lamp's place must outdo
 
     What a mirror or a lobe throws may look like a lamp that was moved. But then their own pixels still do not fit.
@@ -161,6 +162,8 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
     covariance = result.cov_cause[np.ix_(own, own)]
     if not is_elsewhere(axes @ offset, covariance):
         return None
+    if audit is None:
+        return lamp, offset, axes.T @ covariance @ axes, nats
     with_causes = lambda c: replace(explained, problem=c.problem, result=c.result, values=c.taken)
     before, after = audit(with_causes(base)), audit(with_causes(best))
     light = DirectLight(lamps.light.view, lamps.light.factors, after.gathered).of(lamps.moved(lamp, offset), lamp)[1]
