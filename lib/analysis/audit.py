@@ -16,13 +16,21 @@ from lib.light.form_factors import FormFactorRows
 
 MUCH = 0.05  # of the light that comes to a tile, by form factors
 LEFT = 0.25  # of the energy of all groups that differed which may be left where a lamp is what was wrong
+OF_ONE = 0.7  # of the energy of all groups, that one has where it is what is wrong
 
 
 class Energy(NamedTuple):
-    """What groups are off by, squares summed over pixels: those that no diffuse surface explains, and all."""
+    """What groups are off by, squares summed over pixels: those that no diffuse surface explains, all, and the most of
+    one."""
 
     flagged: float
     all: float
+    most: float = 0.0
+
+    @property
+    def is_of_one(self) -> bool:
+        """One group has nearly all of it."""
+        return self.most >= OF_ONE * self.all
 
     def is_explained_by(self, other: Energy) -> bool:
         """Another explanation leaves few of the flagged groups' errors, or less than what it takes from all groups.
@@ -85,7 +93,7 @@ class Audit:
         """direct, among : of `misfits`"""
         judged = self.misfits(problem, result, direct, among)
         flagged = sum(judged[g].energy for g in self.flagged(problem, judged) if g in judged)
-        return Energy(flagged, misfits.energy(judged))
+        return Energy(flagged, misfits.energy(judged), max((m.energy for m in judged.values()), default=0.0))
 
     def doubt(self, problem: Problem, result: Result, judged, places=None):
         """Widen sigma of groups that differ all the same, and say so."""

@@ -108,7 +108,8 @@ def _solved(task: Task, report: Report) -> Answer:
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
         return answer
     ladder = _summary(task, explained.problem, judged) | answer.ladder
-    if may_move and not agreement.fits(answer.result) and (refined := beside_mirrors()):
+    refined = beside_mirrors() if may_move and not agreement.fits(answer.result) else None
+    if refined is not None and not (lobed.lobes and refined.nats <= lobed.best.evidence.nats):
         return answered(explained, refined=refined, why=refined.why, ladder=ladder)
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
         task, answer = in_lobes, _nearest(lobed, answer, *looked(in_lobes, lobed))
@@ -339,8 +340,10 @@ def _by_light(task, explained, above=0.0, beside_mirrors=False):
     """The model with the lamp where its light has it, or None. above, beside_mirrors : of refine.by_light"""
     from lib.analysis import refine
 
-    audit = None if beside_mirrors else functools.partial(audit_of, task)
-    refined = refine.by_light(task.view(), task.factors, task.found, explained, audit, task.place_sigma_m, above)
+    audit = functools.partial(audit_of, task)
+    refined = refine.by_light(
+        task.view(), task.factors, task.found, explained, audit, task.place_sigma_m, above, beside_mirrors
+    )
     return refined if refined is not None and refined.keeps_parts else None
 
 

@@ -78,24 +78,27 @@ def by_light(
     factors: FormFactors,
     found: Gathered,
     explained: Explained,
-    audit: Callable[[Explained], Audit] | None,
+    audit: Callable[[Explained], Audit],
     sigma_m,
     above=0.0,
+    beside_mirrors=False,
 ):
     """Refinement by the lamp that its light puts elsewhere; None where not all comes to fit by that.
 
     In place of the causes that were taken, or beside them.
 
-    audit : makes it, None: there may be mirrors and lobes beside it
-    sigma_m : {lamp: how surely it stands where it is drawn}, LAMP_PLACE_M where nothing is said
+    audit : makes it;  sigma_m : {lamp: how surely it stands where it is drawn}, LAMP_PLACE_M where nothing is said
     above : nats that something else promises, which a lamp's place must outdo
 
     What a mirror or a lobe throws may look like a lamp that was moved. But then their own pixels still do not fit.
+    beside_mirrors : they need not, nor what a single group may throw
     """
     lamps = _lamps(view, factors, found, explained)
     if lamps is None:
         return None
-    search = lambda base, least=0.0, above=0.0: _elsewhere(explained, base, lamps, audit, sigma_m, least, above)
+    search = lambda base, least=0.0, above=0.0: _elsewhere(
+        explained, base, lamps, audit, sigma_m, least, above, beside_mirrors
+    )
     best = search(explained.given, max(above, sum(taken.nats for taken in explained.taken)), above)
     base = explained.given
     if best is None and explained.taken:
@@ -139,11 +142,11 @@ def _most_promising(base: Candidate, lamps, sigma_m, least, above):
     return None if too_little else lamp
 
 
-def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, least, above):
+def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, least, above, beside_mirrors):
     """(lamp, offset (3,), its covariance, nats) of the lamp that explains most elsewhere; None where not all fits then.
 
     base : of `explained`, without its causes or with them;  least : nats that it must bring
-    above : that one step must promise, too
+    above : that one step must promise, too;  beside_mirrors : of by_light
     """
     least = max(least, enough(base.problem))
     lamp = _most_promising(base, lamps, sigma_m, least, above)
@@ -155,15 +158,13 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
     if nats < least:
         return None
     result = best.once("fit", lambda best: fit(best.problem, start=best.start)[0])
-    if not fits(result) or result.cov_cause is None:
+    if result.cov_cause is None or not (fits(result) or beside_mirrors):
         return None
     axes, offset = lamps.things[lamp][1], best.taken[lamp_place.NAME][lamp]
     own = best.problem.cause.of(lamp_place.NAME)
     covariance = result.cov_cause[np.ix_(own, own)]
     if not is_elsewhere(axes @ offset, covariance):
         return None
-    if audit is None:
-        return lamp, offset, axes.T @ covariance @ axes, nats
     with_causes = lambda c: replace(explained, problem=c.problem, result=c.result, values=c.taken)
     before, after = audit(with_causes(base)), audit(with_causes(best))
     light = DirectLight(lamps.light.view, lamps.light.factors, after.gathered).of(lamps.moved(lamp, offset), lamp)[1]
@@ -171,7 +172,8 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
     group, patch_group = base.problem.groups.index(lamp), base.problem.patch_group
     apart = [~looking_at(audited.tiles.rows, group, patch_group) for audited in (before, after)]
     energy = after.energy(best.problem, result, light, apart[1])
-    if not before.energy(base.problem, base.result, among=apart[0]).is_explained_by(energy):
+    is_all = before.energy(base.problem, base.result, among=apart[0]).is_explained_by(energy)
+    if not (is_all or beside_mirrors and (fits(result) or energy.is_of_one)):
         return None
     return lamp, offset, axes.T @ covariance @ axes, nats
 
