@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -124,3 +125,18 @@ def test_a_report_knows_how_large_its_files_are(tmp_path):
     with Report(tmp_path / "a.report.json", outputs=[str(tmp_path / "out/a.txt"), str(tmp_path / "none.txt")]):
         pass
     assert artefact.read_json(tmp_path / "a.report.json")["output_bytes"] == {"out/a.txt": 4}
+
+
+def test_an_interrupt_waits_for_the_end_of_an_import(tmp_path):
+    """open3d makes an ImportError of one, as if it were missing."""
+    lines = ["import os, signal", "os.kill(os.getpid(), signal.SIGINT)", "print('loaded')"]
+    (tmp_path / "half_loaded.py").write_text("\n".join(lines))
+    program = (
+        "import sys, time; sys.path[:0] = [%r, %r]\n"
+        "from lib.core import stage\n"
+        "def main(opt):\n    import half_loaded\n    time.sleep(5)\n"
+        "stage.run(main, stage.parser('x'))\n"
+    )
+    words = [sys.executable, "-c", program % (str(Path(stage.__file__).parents[2]), str(tmp_path))]
+    run = subprocess.run(words, capture_output=True, text=True)
+    assert run.returncode == 130 and run.stdout == "loaded\n" and "Traceback" not in run.stderr

@@ -80,13 +80,14 @@ def _solved(task: Task, report: Report) -> Answer:
     may_throw = leave.lobes is not None and leave.lobes.asked
     is_patch = not may_throw and any(thing.is_sharp and thing.on_plain for thing in things)
     may_move = may_move and not is_patch and bool(explained.taken or in_doubt(explained.result))
-    beside_mirrors = functools.partial(_by_light, task, explained, beside_mirrors=True)
     refined = _by_light(task, explained) if may_move else None
     if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
         return answered(explained, refined=refined, why=refined.why)
     # where the lamps stand right, lines are no shadows' either
     is_patch |= not may_throw and refined is None and any(thing.outlined and thing.on_plain for thing in things)
-    lobed = explained if is_patch else explain.with_lobes(explained, leave, **options)
+    beside = _by_light(task, explained, beside_mirrors=True) if may_move and refined is None else None
+    no_lobe = is_patch or beside is not None and not explain.lobes_may_explain(explained, leave, beside.nats)
+    lobed = explained if no_lobe else explain.with_lobes(explained, leave, **options)
     explained = explained.kept(**options)
     if not task.can_look:
         answer = answered(explained)
@@ -108,9 +109,9 @@ def _solved(task: Task, report: Report) -> Answer:
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
         return answer
     ladder = _summary(task, explained.problem, judged) | answer.ladder
-    refined = beside_mirrors() if may_move and not agreement.fits(answer.result) else None
-    if refined is not None and not (lobed.lobes and refined.nats <= lobed.best.evidence.nats):
-        return answered(explained, refined=refined, why=refined.why, ladder=ladder)
+    outdone = beside is not None and not (lobed.lobes and beside.nats <= lobed.best.evidence.nats)
+    if outdone and not agreement.fits(answer.result):
+        return answered(explained, refined=beside, why=beside.why, ladder=ladder)
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
         task, answer = in_lobes, _nearest(lobed, answer, *looked(in_lobes, lobed))
     answer.ladder = ladder

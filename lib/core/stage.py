@@ -41,6 +41,8 @@ MENDABLE = (
     IsADirectoryError,
     NotADirectoryError,
 )  # by the user, if they name a file
+DEAF = ("importlib", "llvmlite")  # in whose code no exception may be raised from without
+LATER_S = 0.05  # after which a stage that was in such code is asked again to stop
 LACKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENOMEM, errno.EMFILE)  # of the machine
 
 
@@ -55,7 +57,8 @@ def run(main, parser, argv=None):
     parser.error = lambda message: parser.exit(2, f"{name}: {message} (--help lists the options)\n")
     opt = parser.parse_args(argv)
     _forget_missing(opt)
-    signal.signal(signal.SIGTERM, _terminate)
+    for asked in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(asked, _stop)
     status = 2
     try:
         main(opt)
@@ -86,9 +89,22 @@ def run(main, parser, argv=None):
     sys.exit(status)
 
 
-def _terminate(*_):
+def _stop(asked, frame):
+    """By an exception, so that `artefact.writing` removes its temporary files.
+
+    Not within an import, which would make an ImportError of it as where a package is missing, nor where a compiler
+    calls back, which would forget it: a little later.
+    """
+    while frame is not None:
+        if any(name in frame.f_code.co_filename for name in DEAF):
+            signal.signal(signal.SIGALRM, lambda _, frame: _stop(asked, frame))
+            signal.setitimer(signal.ITIMER_REAL, LATER_S)
+            return
+        frame = frame.f_back
+    if asked == signal.SIGINT:
+        raise KeyboardInterrupt
     print(f"{os.path.basename(sys.argv[0])}: terminated: nothing of it was written", file=sys.stderr)
-    sys.exit(128 + signal.SIGTERM)  # an exception, so that `artefact.writing` removes its temporary files
+    sys.exit(128 + signal.SIGTERM)
 
 
 def _end_at_once():
