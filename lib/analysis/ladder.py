@@ -48,6 +48,7 @@ def climb(
     things=(),
     threshold=misfits.THRESHOLD,
     small=True,
+    only=None,
     trace=None,
     options=None,
 ) -> Climb:
@@ -56,6 +57,7 @@ def climb(
     given : {group number: kind} from scene.yaml;  things : that may stand before groups, of strangers.things
     threshold : display RMSE beyond noise that a group may keep
     small : where the picture disagrees, small things are asked that may be what is wrong with all others
+    only : the group that may climb, None: all
     trace : called with the round (0 before the first trial), the name of the step and the Result after each fit
     options : of gauss_newton.gauss_newton
     """
@@ -63,6 +65,8 @@ def climb(
     fitted = lambda here: refit(site, here, options, trace and (lambda step, result: trace(here.rounds, step, result)))
     here = _at_the_foot(site, result, scale, given)
     settled = site.base.known_groups | {g for g, kind in given.items() if kind in ("diffuse", "textured")}
+    if only is not None:
+        settled |= here.places.keys() - {only}
     if "textured" in given.values():
         here = fitted(here)
     wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}

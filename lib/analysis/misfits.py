@@ -16,6 +16,7 @@ OTHER = 0.1  # relative difference of an object's reflectance from its group's t
 UNLIKE = 0.25  # the same of an object that only its untrusted pixels tell of
 THRESHOLD = 0.0125  # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
 LEAST = 0.0056  # of it, that a group is off by which stands out: what large ones may keep
+APART, APART_LEAST = 3.0, 0.0025  # the same of trusted tiles: exact rooms have up to 2.4, one of 30 more
 STANDS_OUT = 5.0  # times what groups usually are off by: exact rooms have up to 4.6, once 7
 
 
@@ -205,6 +206,25 @@ def keener(found, threshold, times=STANDS_OUT):
     least = max(LEAST, times * float(np.median([m.excess for m in judged]))) if judged else threshold
     stands_out = any(m.excess > max(tolerance(m, least), LEAST) for m in judged)
     return least if stands_out and least < threshold else None
+
+
+def apart(problem: Problem, result: Result) -> int | None:
+    """The group whose trusted tiles are off by far more than those of others usually are, or None.
+
+    No threshold tells of it: no shadow's edge lies in trusted tiles, and hardly anything of that light is off. So were
+    boxes with dull lobes that were 10 to 14 % and up to 22 sigma off as diffuse ones.
+    """
+    of_group = lambda values: group_mean(problem, values)[:, 0]
+    noise = of_group(problem.noise_variance(problem.n_pixels))
+    square = of_group((result.tile_residual**2).mean(axis=1, keepdims=True))
+    enough = np.bincount(problem.tile_group, minlength=len(problem.groups)) >= ENOUGH
+    judged = [g for g in np.flatnonzero(enough) if g not in problem.known_groups]
+    if len(judged) < 2:
+        return None
+    excess = np.sqrt(np.maximum(square - noise, 0))
+    g = max(judged, key=lambda g: excess[g])
+    usual = float(np.median([excess[h] for h in judged if h != g]))
+    return int(g) if excess[g] > max(APART_LEAST, APART * usual) else None
 
 
 def is_over(misfit: Misfit, threshold):

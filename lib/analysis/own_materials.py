@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 IN_DOUBT = 0.6  # times as far a group must stand out where the picture does not fit: something is wrong there anyway
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
 HALF = 0.5  # of what groups are off by, that a climb leaves at most where it is right about most
+SETTLES = 0.65  # of what neighbouring tiles have in common, that one group may leave: right ones .56, false ones .7
+JUST = 0.99  # of what a group is off by, that it may not keep
 ALMOST_ALL = 0.7  # of the energy of all groups: one that has as much may be what is wrong with the others, too
 
 
@@ -44,6 +46,8 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
         if answer.climb:
             keener.doubt(explained.problem, explained.result, judged)
         return answered(explained, audit, judged)
+    if not flagged and (answer := _one_apart(task, explained, audit, judged, of_groups)):
+        return _asked_again(task, answer, report, leave)
     if not flagged or not explained.taken or explained.lobes:
         return climbed(explained, audit, judged)
     if explained.is_sure and not audit.given:
@@ -57,6 +61,29 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
     if audit.given:
         caused = climbed(explained, audit, judged)
     return caused if caused.nats >= answer.nats + enough(bare.problem) else answer
+
+
+def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
+    """Where one group alone is off, by less than any may be: the answer in which it is a mirror or has a lobe, that
+    explains all that was left. Causes that were taken may have been what it throws.
+    """
+    if misfits.apart(explained.problem, explained.result) is None:
+        return None
+    ways = [(explained, audit, judged)]
+    if explained.taken and not explained.lobes:
+        bare = explained.without_causes(**task.options)
+        ways.insert(0, (bare, *looked(task, bare)))
+    for found, audit, judged in ways:
+        group = misfits.apart(found.problem, found.result)
+        off = judged[group] if group in judged and audit.given.get(group) is None else None
+        if off is None or not off.judged or not off.excess:
+            continue
+        keen = min(JUST * off.excess / misfits.tolerance(off, 1.0), task.threshold)
+        answer = of_groups(replace(task, threshold=keen), found, audit, judged, only=group)
+        left = answer.result.correlated
+        if _has_mirrors(answer) and left <= SETTLES * found.result.correlated and agreement.fits(answer.result):
+            return answer
+    return None
 
 
 def _asked_again(task, answer, report, leave) -> Answer:
@@ -101,12 +128,12 @@ def _under_another_response(task, answer, report, leave) -> Answer:
     return other if other.climb and other.nats >= answer.nats + enough(answer.problem) else answer
 
 
-def _of_groups(task, explained, audit, judged, report, leave, small=True) -> Answer:
-    """The ladder where a diffuse surface does not explain the groups. small : of ladder.climb"""
-    if not audit.flagged(explained.problem, judged):
+def _of_groups(task, explained, audit, judged, report, leave, small=True, only=None) -> Answer:
+    """The ladder where a diffuse surface does not explain the groups. small, only : of ladder.climb"""
+    if only is None and not audit.flagged(explained.problem, judged):
         audit.doubt(explained.problem, explained.result, judged)
         return answered(explained, audit, judged)
-    if _is_wrong_everywhere(explained, audit, judged):
+    if only is None and _is_wrong_everywhere(explained, audit, judged):
         return answered(explained, audit, judged)
     with report.excluded("imports"):
         from lib.analysis import ascent
@@ -121,6 +148,7 @@ def _of_groups(task, explained, audit, judged, report, leave, small=True) -> Ans
         given=audit.given,
         threshold=task.threshold,
         small=small,
+        only=only,
         things=things_of(task, explained, audit),
         trace=lambda round, step, fitted: report.trace(
             round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
