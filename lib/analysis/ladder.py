@@ -49,6 +49,7 @@ def climb(
     threshold=misfits.THRESHOLD,
     small=True,
     only=None,
+    rounds=MOST_ROUNDS,
     trace=None,
     options=None,
 ) -> Climb:
@@ -57,7 +58,7 @@ def climb(
     given : {group number: kind} from scene.yaml;  things : that may stand before groups, of strangers.things
     threshold : display RMSE beyond noise that a group may keep
     small : where the picture disagrees, small things are asked that may be what is wrong with all others
-    only : the group that may climb, None: all
+    only : the group that may climb, None: all;  rounds : at most
     trace : called with the round (0 before the first trial), the name of the step and the Result after each fit
     options : of gauss_newton.gauss_newton
     """
@@ -70,7 +71,7 @@ def climb(
     if "textured" in given.values():
         here = fitted(here)
     wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}
-    for here.rounds in range(1, MOST_ROUNDS + 1):
+    for here.rounds in range(1, rounds + 1):
         step = _Step(site, here, wanted, settled, threshold, things, sure_only=not fits(here.result), small=small)
         taken = step.taken()
         if not taken:

@@ -50,12 +50,15 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
         return _asked_again(task, answer, report, leave)
     if not flagged or not explained.taken or explained.lobes:
         return climbed(explained, audit, judged)
+    how = {}
     if explained.is_sure and not audit.given:
         caused = climbed(explained, audit, judged)
         if not _has_mirrors(caused):
             return caused
+        # what needs more to climb than beside the causes does not explain it more simply
+        how = {"rounds": caused.climb.rounds + 1}
     bare = explained.without_causes(**task.options)
-    answer = climbed(bare, *looked(task, bare), small=False)
+    answer = climbed(bare, *looked(task, bare), small=False, **how)
     if not explained.is_sure:
         return answer  # what told mirrors throw looks like many a cause
     if audit.given:
@@ -128,8 +131,8 @@ def _under_another_response(task, answer, report, leave) -> Answer:
     return other if other.climb and other.nats >= answer.nats + enough(answer.problem) else answer
 
 
-def _of_groups(task, explained, audit, judged, report, leave, small=True, only=None) -> Answer:
-    """The ladder where a diffuse surface does not explain the groups. small, only : of ladder.climb"""
+def _of_groups(task, explained, audit, judged, report, leave, only=None, **how) -> Answer:
+    """The ladder where a diffuse surface does not explain the groups. only, how : of ladder.climb"""
     if only is None and not audit.flagged(explained.problem, judged):
         audit.doubt(explained.problem, explained.result, judged)
         return answered(explained, audit, judged)
@@ -147,8 +150,8 @@ def _of_groups(task, explained, audit, judged, report, leave, small=True, only=N
         lobe_rays=task.lobe_rays,
         given=audit.given,
         threshold=task.threshold,
-        small=small,
         only=only,
+        **how,
         things=things_of(task, explained, audit),
         trace=lambda round, step, fitted: report.trace(
             round=round, step=step, image_rmse=fitted.rmse, gamma=fitted.state.gamma
