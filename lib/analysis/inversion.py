@@ -102,6 +102,8 @@ def _solved(task: Task, report: Report) -> Answer:
     if refined is not None and task is plain:
         return answered(explained, refined=refined, why=refined.why, ladder=_summary(task, explained.problem, judged))
     wrong, answer = explain.lamps_told_wrong(explained, leave, **options), None
+    if _outdoes(beside, explained, wrong):
+        wrong = []
     if not wrong or audit.flagged(explained.problem, judged):
         answer = materials(task, explained, audit, judged, report, leave)
     if wrong and not (answer and _mirrors_suffice(answer)):  # what mirrors throw may look like other lamps
@@ -121,14 +123,28 @@ def _solved(task: Task, report: Report) -> Answer:
     ]
     answer.explained = replace(answer.explained, rivals=_rivals(answer))
     answer.why = _why(task, answer, edges)
+    if outdone and _outdoes(beside, explained, answer.why):
+        return answered(explained, refined=beside, why=beside.why, ladder=ladder)
     if answer.why and answer.climb and not audit.given and not _all_mirrors(answer.climb):
         answer.ascent, found = None, answer.explained
         answer.problem, answer.result, answer.scale = found.problem, found.result, found.scale
     if not answer.why:
-        agreement.doubt_told(answer.problem, answer.result, task.transfer)
-        if not answer.climb:
-            agreement.doubt_srgb(answer.explained.given, answer.explained.best, answer.result)
+        _doubt_facts(task, answer)
     return answer
+
+
+def _doubt_facts(task, answer: Answer):
+    """Widen every sigma by what else may be as well of what is told."""
+    agreement.doubt_told(answer.problem, answer.result, task.transfer)
+    if not answer.climb:
+        agreement.doubt_srgb(answer.explained.given, answer.explained.best, answer.result)
+
+
+def _outdoes(beside, explained, why) -> bool:
+    """A lamp elsewhere explains more than others that lamps might be, which is all that is said. beside : Refinement"""
+    of_lamps = bool(why) and all(w.cause.startswith("lamp_") for w in why)
+    gain = lambda: beside.nats - explained.best.evidence.nats
+    return of_lamps and beside is not None and gain() > sum(w.evidence_nats or 0 for w in why)
 
 
 def _nearest(lobed, plain: Answer, audit, judged) -> Answer:
