@@ -191,6 +191,24 @@ def _lamps_told(problem, result):
     return lamps_of(problem, found, gain), little and fits(found)
 
 
+def lamps_behind_curve(problem, result, given: Candidate) -> list[Why]:
+    """Emittances that are told, where others beside a plain gamma explain as much as the curve that was taken.
+
+    given : under the given facts, before mirrors and lobes have climbed: the diffuse fit asks the same, but cannot
+    tell while they are off
+    """
+    if result.state.transfer.kind != "curve" or not problem.fit_transfer or not are_told(problem):
+        return []
+    gamma, state = given.result.state.transfer, result.state
+    plain = replace(freed(problem), transfer=replace(gamma, matrix=problem.transfer.matrix), doubted=None)
+    free = Candidate.of(plain, start=Unknowns(state.rho, state.E, plain.transfer, state.rho_s))
+    gain = free.evidence.nats - evidence(problem, result.at).nats
+    if gain < -enough(problem):
+        return []
+    found = gauss_newton(plain, start=free.start)
+    return lamps_of(problem, found, gain, ("curve",)) if fits(found) else []
+
+
 def lamps_of(problem, found: Result, nats, spared=()) -> list[Why]:
     """Emittances that are told and differ from those of a fit in which they were free.
 

@@ -16,7 +16,7 @@ from lib.light.form_factors import FormFactorRows
 
 MUCH = 0.05  # of the light that comes to a tile, by form factors
 LEFT = 0.25  # of the energy of all groups that differed which may be left where a lamp is what was wrong
-OF_ONE = 0.7  # of the energy of all groups, that one has where it is what is wrong
+ALMOST_ALL = 0.7  # of the energy of all groups: one that has as much may be what is wrong with the others, too
 
 
 class Energy(NamedTuple):
@@ -30,7 +30,7 @@ class Energy(NamedTuple):
     @property
     def is_of_one(self) -> bool:
         """One group has nearly all of it."""
-        return self.most >= OF_ONE * self.all
+        return self.most >= ALMOST_ALL * self.all
 
     def is_explained_by(self, other: Energy) -> bool:
         """Another explanation leaves few of the flagged groups' errors, or less than what it takes from all groups.

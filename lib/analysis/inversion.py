@@ -62,8 +62,7 @@ def _solved(task: Task, report: Report) -> Answer:
     leave, first = _leave(task), _begun(task, edges, trace)
     if task.around is not None and isinstance(first, Candidate) and glow.may_come_in(*task.lambertian, first):
         task = task.around()
-        unsure = functools.cache(lambda: glow.unsure(task.view(), task.factors, task.found))
-        leave, first = _leave(task), glow.in_the_dark(first, task.problem, unsure)
+        leave, first = _leave(task), glow.in_the_dark(first, task.problem, _unsure_outside(task))
     may_move = may_refine and "lamp_place" in task.allowed and not edges.why
     if task.can_look and (answer := _at_once(task, first, leave, may_move, edges)):
         return answer
@@ -339,6 +338,11 @@ def _unsure(task, edges) -> tuple:
     return tuple(refine.unsure(task.view(), task.factors, task.found, task.refined, loose))
 
 
+def _unsure_outside(task):
+    """() -> by what the light from outside is unsure, which no one has measured."""
+    return functools.cache(lambda: glow.unsure(task.view(), task.factors, task.found))
+
+
 def _by_edges(task, edges):
     """Camera and model as the photograph's edges have them; None where the model could not keep its numbers."""
     from lib.analysis import refine
@@ -370,6 +374,8 @@ def _why(task, answer: Answer, edges, things=None):
     why = agreement.disagreements(answer.problem, result, task.found, task.transfer, answer.explained.rivals)
     if edges is not None and in_doubt(result):
         why = agreement.joined(why, edges.why)
+    if not why and answer.climb and task.transfer in (None, "auto"):
+        why = agreement.lamps_behind_curve(answer.problem, result, answer.explained.given)
     if answer.audit is None or any(w.cause == "transfer" for w in why):
         return why  # under another function than the camera's, shadows look like things
     return agreement.joined(why, _strange(task, answer, bool(why), things))

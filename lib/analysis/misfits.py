@@ -215,7 +215,7 @@ def apart(problem: Problem, result: Result) -> int | None:
     boxes with dull lobes that were 10 to 14 % and up to 22 sigma off as diffuse ones.
     """
     of_group = lambda values: group_mean(problem, values)[:, 0]
-    noise = of_group(problem.noise_variance(problem.n_pixels))
+    noise = of_group(problem.tile_noise)
     square = of_group((result.tile_residual**2).mean(axis=1, keepdims=True))
     enough = np.bincount(problem.tile_group, minlength=len(problem.groups)) >= ENOUGH
     judged = [g for g in np.flatnonzero(enough) if g not in problem.known_groups]

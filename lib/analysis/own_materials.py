@@ -14,6 +14,7 @@ import numpy as np
 
 from lib.analysis import agreement, explain, misfits, responses, vignetting
 from lib.analysis.answers import Answer, answered, looked, things_of
+from lib.analysis.audit import ALMOST_ALL
 from lib.analysis.candidates import Candidate, enough
 from lib.analysis.climbing import SPECULAR
 from lib.analysis.evidence import evidence
@@ -27,7 +28,6 @@ EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from wh
 HALF = 0.5  # of what groups are off by, that a climb leaves at most where it is right about most
 SETTLES = 0.65  # of what neighbouring tiles have in common, that one group may leave: right ones .56, false ones .7
 JUST = 0.99  # of what a group is off by, that it may not keep
-ALMOST_ALL = 0.7  # of the energy of all groups: one that has as much may be what is wrong with the others, too
 
 
 def materials(task, explained, audit, judged, report, leave) -> Answer:
