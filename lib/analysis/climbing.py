@@ -41,6 +41,12 @@ class Place:
     def is_mirror(self):
         return RUNGS[self.rung].mirror
 
+    @property
+    def was_explained(self) -> bool:
+        """By a higher rung than it stands on, which was taken back: of what it was off by as a diffuse surface, by most
+        of its energy."""
+        return self.rung == "diffuse" and any(t["excess"] ** 2 < t["diffuse"] ** 2 / 2 for t in self.tried)
+
 
 @dataclass(eq=False)
 class Climb:

@@ -249,8 +249,10 @@ def doubt(problem: Problem, result: Result, found, threshold, given, places=None
     """Widen sigma of diffuse groups that differ from the photograph by more than they may, and say so.
 
     They are less sure of their reflectance than pixels and rays make them: as if all of that error were one of their
-    brightness, or of anything where too few tiles are left to judge them by. Writes result.sigma_rho and
-    result.warnings.
+    brightness, or of anything where too few tiles are left to judge them by. Nothing is known of one that a rung
+    explained which was taken back: it is no diffuse surface. Writes result.sigma_rho and result.warnings.
+
+    places : {group: Place} of the climb, if there was one
     """
     if result.sigma_rho is None:
         return
@@ -270,7 +272,10 @@ def doubt(problem: Problem, result: Result, found, threshold, given, places=None
             f"group {problem.groups[g]!r}: the photograph differs by {m.excess:.1%} of full scale beyond noise"
             " from a diffuse surface"
         )
-        if m.judged:
+        if m.judged and places and places[g].was_explained:
+            wide = np.inf
+            result.warnings.append(f"{said}, and what it is instead is not known: {places[g].why}")
+        elif m.judged:
             brightness = np.maximum(slope(B[g : g + 1])[0] * B[g], 1e-9)
             wide = np.minimum(m.excess / brightness, 1) * rho
             why = "which scene.yaml says it is" if given.get(g) == "diffuse" else "and no rung explains it"

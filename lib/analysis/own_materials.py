@@ -170,7 +170,7 @@ def _of_groups(task, explained, audit, judged, report, leave, only=None, **how) 
     answer.warnings = ascent.warnings(done)
     if all(place.rung == "diffuse" for place in climb.places.values()):
         # the same light, but with what its causes leave unsure, which the ladder takes as they are
-        audit.doubt(explained.problem, explained.result, judged)
+        audit.doubt(explained.problem, explained.result, judged, climb.places)
         return answer
     done = _with_causes(task, explained, done, leave)
     climb = done.climb
