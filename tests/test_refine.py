@@ -232,3 +232,15 @@ def test_what_looks_at_a_lamp_from_near_by_is_known():
     rows = SimpleNamespace(matrix=lambda: scipy.sparse.csr_array(factor))
     assert looking_at(rows, 1, np.array([0, 1, 2])).tolist() == [True, False, False]
     assert looking_at(rows, 2, np.array([0, 1, 2])).tolist() == [False, True, True]
+
+
+@pytest.mark.scene
+def test_a_wrong_lamp_beside_a_mirror_does_not_hide_behind_a_curve(tmp_path):
+    """While the mirror stood diffuse, neither lamps nor a curve left little enough for lamps to be named."""
+
+    def brighter(folder):
+        facts = folder / "scene.yaml"
+        facts.write_text(facts.read_text().replace("[32, 30.72, 28.16]", "[41, 39.3, 36]"))
+
+    _, found, _ = deviated(tmp_path, brighter, "office-mirror")
+    assert found["status"] == "does not fit" and [w["cause"] for w in found["why"]] == ["lamp_power"]

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis import agreement, facts, gather, places
+from lib.analysis import agreement, facts, gather, misfits, places
+from lib.analysis.climbing import Place
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.misfits import Misfit
 from lib.analysis.site import Site
@@ -108,3 +109,29 @@ def test_the_subcell_correction_leaves_even_light_as_it_is(size):
     factors = SimpleNamespace(area=size * np.array([1.0, 2, 3, 1]), mesh=SimpleNamespace(parent=np.array([0, 0, 0, 1])))
     even = FormFactors._subcell(factors, np.full(4, 0.25)) @ np.ones(4)
     np.testing.assert_allclose(even, 1, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "off, apart", [((0.001, 0.001, 0.004), 2), ((0.001, 0.002, 0.004), None), ((0, 0, 0.002), None)]
+)
+def test_one_group_stands_apart(off, apart):
+    """By three times what the others usually are off by, and by enough; one reference is nobody's material."""
+    group = np.repeat([0, 1, 2, 3], 20)
+    problem = SimpleNamespace(
+        groups=["a", "b", "c", "known"],
+        known_groups={3},
+        tile_group=group,
+        n_pixels=np.full(80, 9),
+        tile_noise=np.full((80, 1), 1e-6),
+    )
+    square = np.array([*off, 0.1])[group] ** 2 + 1e-6
+    residual = np.sqrt(square)[:, None] * np.ones((1, 3))
+    assert misfits.apart(problem, SimpleNamespace(tile_residual=residual)) == apart
+
+
+@pytest.mark.parametrize(
+    "rung, excess, was", [("diffuse", 0.0136, True), ("diffuse", 0.04, False), ("glossy", 0.01, False)]
+)
+def test_what_a_lobe_explained_that_was_taken_back_is_no_diffuse_surface(rung, excess, was):
+    tried = [{"rung": "glossy", "excess": excess, "diffuse": 0.0447}]
+    assert Place(rung, tried=tried).was_explained == was
