@@ -61,7 +61,7 @@ class Explained:
     @property
     def is_sure(self):
         """No material could bring as much: the causes are taken even where groups are no diffuse ones."""
-        return not self.taken or sum(taken.nats for taken in self.taken) >= _surely(self.problem)
+        return not self.taken or sum(taken.nats for taken in self.taken) >= surely(self.problem)
 
     def without_causes(self, **options) -> Explained:
         """The fit under the given facts. options : of gauss_newton.gauss_newton"""
@@ -331,13 +331,13 @@ def _lobed(base: Candidate, lobes: LampLobes, hopeless) -> Candidate | None:
     """
     uneven = _uneven(base, lobes)
     gain = uneven.evidence.nats - base.evidence.nats
-    tries = hopeless or lobes.asked or gain >= _surely(base.problem)
+    tries = hopeless or lobes.asked or gain >= surely(base.problem)
     if not tries or not lobes.asked and _is_one_object(base, gain):
         return None
     return lamp_lobe.begun(base, uneven, lobes)
 
 
-def _surely(problem: Problem) -> float:
+def surely(problem: Problem) -> float:
     """Nats that nothing brings which only bends to a thing, a mirror or a lobe."""
     return NATS + SURE_PER_TILE * len(problem.tile_group)
 

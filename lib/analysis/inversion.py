@@ -9,7 +9,7 @@ the answer says so (`refined`), and is good for nothing else: all is to be made 
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,7 @@ def solve(task: Task, report: Report) -> Answer:
 
 
 def _solved(task: Task, report: Report) -> Answer:
+    """Geometry that edges tell, causes of the whole picture, what is wrong with the facts; then lamps and materials."""
     trace = lambda iteration, image_rmse, state: report.trace(
         iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
     )
@@ -67,52 +68,73 @@ def _solved(task: Task, report: Report) -> Answer:
     if task.can_look and (answer := _at_once(task, first, leave, may_move, edges)):
         return answer
     explained = explain.without_lobes(first, leave, **options)
-    if task.can_look and (wrong := _told_wrong(task, explained)):
+    if not task.can_look:
+        answer = answered(explained.kept(**options))
+        answer.why = _why(task, answer, edges)
+        return answer
+    if wrong := _told_wrong(task, explained):
         return _named(task, explained.kept(**options), wrong)
-    seen = answered(explained, *looked(task, explained)) if task.can_look else None
-    things = _things_in_doubt(task, seen) if seen is not None else []
-    if why := _something_missing(task, seen, edges, things):
+    seen = answered(explained, *looked(task, explained))
+    things = _things_in_doubt(task, seen)
+    if why := _something_missing(task, seen, edges, things) or _another_material(task, seen):
         return replace(seen, why=why)
-    if seen is not None and (why := _another_material(task, seen)):
-        return replace(seen, why=why)
+    lamps = _lamps(task, explained, things, leave, may_move, options)
+    if lamps.lobed is None:
+        return _moved(explained, lamps.elsewhere)
+    return _materials(task, seen, lamps, edges, leave, report, options)
+
+
+@dataclass(frozen=True)
+class _Lamps:
+    """What the lamps may be beside what they are told to be."""
+
+    elsewhere: object  # Refinement, the model with a lamp where its light has it; or None
+    beside: object  # the same, where mirrors may throw what tells of it
+    lobed: Explained | None  # with lobes, if any explain more; None where a lamp elsewhere does
+
+
+def _lamps(task, explained, things, leave, may_move, options) -> _Lamps:
     # no lamp throws light with an outline
     may_throw = leave.lobes is not None and leave.lobes.asked
     is_patch = not may_throw and any(thing.is_sharp and thing.on_plain for thing in things)
     may_move = may_move and not is_patch and bool(explained.taken or in_doubt(explained.result))
-    refined = _by_light(task, explained) if may_move else None
-    if refined is not None and not explain.lobes_may_explain(explained, leave, refined.nats):
-        return answered(explained, refined=refined, why=refined.why)
+    elsewhere = _by_light(task, explained) if may_move else None
+    if elsewhere is not None:
+        uneven = explain.lobes_may_explain(explained, leave, elsewhere.nats)
+        return _Lamps(elsewhere, None, explain.with_lobes(explained, leave, **options) if uneven else None)
     # where the lamps stand right, lines are no shadows' either
-    is_patch |= not may_throw and refined is None and any(thing.outlined and thing.on_plain for thing in things)
-    beside = _by_light(task, explained, beside_mirrors=True) if may_move and refined is None else None
+    is_patch |= not may_throw and any(thing.outlined and thing.on_plain for thing in things)
+    beside = _by_light(task, explained, beside_mirrors=True) if may_move else None
     no_lobe = is_patch or beside is not None and not explain.lobes_may_explain(explained, leave, beside.nats)
-    lobed = explained if no_lobe else explain.with_lobes(explained, leave, **options)
-    explained = explained.kept(**options)
-    if not task.can_look:
-        answer = answered(explained)
-        answer.why = _why(task, answer, edges)
-        return answer
+    return _Lamps(None, beside, explained if no_lobe else explain.with_lobes(explained, leave, **options))
+
+
+def _materials(task, seen: Answer, lamps: _Lamps, edges, leave, report, options) -> Answer:
+    """The ladder under what explains the picture as a whole, or lamps in its place where they explain more."""
+    explained, lobed = seen.explained.kept(**options), lamps.lobed
     plain, in_lobes = task, task.in_lobes(lobed.lobes)
-    outdone = refined is not None and not leave.lobes.asked and refined.nats > lobed.best.evidence.nats
+    outdone = lamps.elsewhere is not None and not leave.lobes.asked and lamps.elsewhere.nats > lobed.best.evidence.nats
     if lobed.lobes and not outdone and (leave.lobes.asked or _suffices(task, explained, in_lobes, lobed)):
         task, explained = in_lobes, lobed
     is_seen = explained is seen.explained
     audit, judged = (seen.audit, seen.judged) if is_seen else looked(task, explained)
-    if refined is not None and task is plain:
-        return answered(explained, refined=refined, why=refined.why, ladder=_summary(task, explained.problem, judged))
+    ladder = _summary(task, explained.problem, judged)
+    if lamps.elsewhere is not None and task is plain:
+        return _moved(explained, lamps.elsewhere, ladder)
+    beside = lamps.beside
     wrong, answer = explain.lamps_told_wrong(explained, leave, **options), None
     if _outdoes(beside, explained, wrong):
         wrong = []
     if not wrong or audit.flagged(explained.problem, judged):
         answer = materials(task, explained, audit, judged, report, leave)
     if wrong and not (answer and _mirrors_suffice(answer)):  # what mirrors throw may look like other lamps
-        answer = answered(explained, audit, judged, ladder=_summary(task, explained.problem, judged))
+        answer = answered(explained, audit, judged, ladder=ladder)
         answer.why = agreement.joined(wrong, _missing(task, explained, audit))
         return answer
-    ladder = _summary(task, explained.problem, judged) | answer.ladder
-    outdone = beside is not None and not (lobed.lobes and beside.nats <= lobed.best.evidence.nats)
-    if outdone and not agreement.fits(answer.result):
-        return answered(explained, refined=beside, why=beside.why, ladder=ladder)
+    ladder |= answer.ladder
+    may_stand_elsewhere = beside is not None and not (lobed.lobes and beside.nats <= lobed.best.evidence.nats)
+    if may_stand_elsewhere and not agreement.fits(answer.result):
+        return _moved(explained, beside, ladder)
     if lobed.lobes and task is plain and not agreement.fits(answer.result):
         task, answer = in_lobes, _nearest(lobed, answer, *looked(in_lobes, lobed))
     answer.ladder = ladder
@@ -122,14 +144,19 @@ def _solved(task: Task, report: Report) -> Answer:
     ]
     answer.explained = replace(answer.explained, rivals=_rivals(answer))
     answer.why = _why(task, answer, edges)
-    if outdone and _outdoes(beside, explained, answer.why):
-        return answered(explained, refined=beside, why=beside.why, ladder=ladder)
+    if may_stand_elsewhere and _outdoes(beside, explained, answer.why):
+        return _moved(explained, beside, ladder)
     if answer.why and answer.climb and not audit.given and not _all_mirrors(answer.climb):
         answer.ascent, found = None, answer.explained
         answer.problem, answer.result, answer.scale = found.problem, found.result, found.scale
     if not answer.why:
         _doubt_facts(task, answer)
     return answer
+
+
+def _moved(explained, refined, ladder=()) -> Answer:
+    """All is to be made again with a lamp where its light has it."""
+    return answered(explained, refined=refined, why=refined.why, ladder=dict(ladder))
 
 
 def _doubt_facts(task, answer: Answer):

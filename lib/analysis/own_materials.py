@@ -53,7 +53,7 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
     how = {}
     if explained.is_sure and not audit.given:
         caused = climbed(explained, audit, judged)
-        if not _has_mirrors(caused):
+        if not _has_mirrors(caused) or _keeps_causes(caused):
             return caused
         # what needs more to climb than beside the causes does not explain it more simply
         how = {"rounds": caused.climb.rounds + 1}
@@ -70,7 +70,8 @@ def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
     """Where one group alone is off, by less than any may be: the answer in which it is a mirror or has a lobe, that
     explains all that was left. Causes that were taken may have been what it throws.
     """
-    if misfits.apart(explained.problem, explained.result) is None:
+    apart = misfits.apart(explained.problem, explained.result)
+    if apart is None:
         return None
     ways = [(explained, audit, judged)]
     if explained.taken and not explained.lobes:
@@ -78,6 +79,8 @@ def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
         ways.insert(0, (bare, *looked(task, bare)))
     for found, audit, judged in ways:
         group = misfits.apart(found.problem, found.result)
+        if group != apart and not agreement.fits(found.result):
+            continue  # without the causes all is off
         off = judged[group] if group in judged and audit.given.get(group) is None else None
         if off is None or not off.judged or not off.excess:
             continue
@@ -87,6 +90,23 @@ def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
         if _has_mirrors(answer) and left <= SETTLES * found.result.correlated and agreement.fits(answer.result):
             return answer
     return None
+
+
+def _keeps_causes(answer) -> bool:
+    """The camera's one cause, fitted anew beside what mirrors throw, brings what nothing else does: no climb without it
+    does as well."""
+    explained, problem, result = answer.explained, answer.problem, answer.result
+    causes = {t.cause for t in explained.taken}
+    if causes == {vignetting.NAME} and agreement.fits(result):
+        brings = vignetting.nats(problem, result, explained.falloff)
+    elif causes == {"response"} and agreement.fits(result):
+        given = explained.given.problem
+        told = replace(problem, transfer=given.transfer, fit_transfer=given.fit_transfer, doubted=None)
+        start = Candidate(problem, result, None).start._replace(transfer=given.transfer, near=None)
+        brings = answer.nats - Candidate.of(told, start=start).evidence.nats
+    else:
+        return False
+    return brings >= explain.surely(problem)
 
 
 def _asked_again(task, answer, report, leave) -> Answer:

@@ -71,10 +71,11 @@ def mirrored_room(seed, *, size=(400, 300)) -> Recipe:
     random = np.random.default_rng(list(f"mirrored-{seed}".encode()))
     recipe = _with_plate(random, "mirrored", size, "mirror", MIRROR)
     tint = random.uniform(0.7, 0.95) * random.uniform(0.9, 1, 3) if random.random() < 0.5 else np.ones(3)
+    kind = "mirror" if (tint == 1).all() else "coloured_mirror"
     return replace(
         recipe,
         materials=recipe.materials | {"mirror": (0.0, 0.0, 0.0)},
-        surfaces={"mirror": Surface("mirror", tuple(map(float, np.round(tint, 3))))},
+        surfaces={"mirror": Surface(kind, tuple(map(float, np.round(tint, 3))))},
     )
 
 
