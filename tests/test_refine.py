@@ -21,6 +21,7 @@ from lib.given.view import View
 from lib.planning import makefile, scene
 from lib.planning.pipeline import read_pipeline
 from lib.planning.walk import walk
+from tests.bench import intervals
 from tests.helpers.changed_scenes import clean, deviated, obj, vignetted
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -176,6 +177,33 @@ def test_a_mirror_under_light_that_does_not_fit_is_no_diffuse_surface(tmp_path):
 
     _, found, _ = deviated(tmp_path, change, "office-mirror")
     assert found["status"] == "does not fit"
+
+
+@pytest.mark.scene
+def test_a_mirror_does_not_hide_a_camera_that_mixes_colours(tmp_path):
+    """The diffuse fit sees the colours of what the mirror throws, too: mirrored-2513 was 68 sigma off and green."""
+    M = np.array([[0.94, 0.19, -0.13], [0.18, 0.94, -0.12], [0.15, 0.19, 0.66]])
+
+    def change(folder):
+        path = str(folder / "left.png")
+        values = cv2.imread(path, cv2.IMREAD_UNCHANGED)
+        white = np.iinfo(values.dtype).max
+        light = (values[..., ::-1] / white) ** 2.15 @ M.T
+        mixed = np.round(white * np.clip(light, 0, 1) ** (1 / 2.15)).astype(values.dtype)[..., ::-1]
+        cv2.imwrite(path, np.where(values.max(axis=2, keepdims=True) == white, values, mixed))
+
+    _, found, off = deviated(tmp_path, change, "office-mirror")
+    assert found["groups"]["mirror"]["kind"] == "mirror" and off < 6
+    assert found["status"] == "converged" and [c["cause"] for c in found["explained"]] == ["matrix"]
+
+
+@pytest.mark.scene
+@pytest.mark.parametrize("seed", [9733, 9704])
+def test_causes_that_bend_to_a_mirror_do_not_hide_it(seed):
+    """A floor that mirrors, a wall that shines: a curve and a lens's shadow explained as much, and nothing fitted."""
+    row = intervals.measured(seed, "shiny")
+    assert row["status"] == "converged" and not row["wrong"]
+    assert all(abs(value - true) < 4 * sigma for _, value, true, sigma in row["claims"])
 
 
 @pytest.mark.parametrize("mm, elsewhere", [((2.09, 2.11), False), ((3, 3), False), ((12, 0), True), ((100, 40), True)])

@@ -17,6 +17,7 @@ class Answer:
 
     audit, judged : of all pixels and `explained`, its misfits; None where they were not looked at
     ascent : of the ladder, None where all is diffuse;  ladder : what it did, for the report
+    dropped : the climb that explained less than it should, None where none did
     why : [Why] photograph and facts do not agree
     """
 
@@ -27,6 +28,7 @@ class Answer:
     audit: Audit | None = None
     judged: dict | None = None
     ascent: object = None
+    dropped: Climb | None = None
     ladder: dict = field(default_factory=dict)
     refined: object = None
     why: list = field(default_factory=list)

@@ -82,32 +82,32 @@ def describe(
     function = _transfer(problem, result, transfer, explained.rivals, curve)
     function = replace(function, sigma=None) if wrong else function
     fit = Fit(rmse, int(result.iterations))
-    causes = sorted([*refined, *_causes(explained, result)], key=lambda cause: -(cause.evidence_nats or 0))
+    causes = sorted([*refined, *_causes(explained, problem, result)], key=lambda cause: -(cause.evidence_nats or 0))
     return Materials(status, groups, lamps, function, scale, fit, causes, list(why))
 
 
-def _causes(explained: Explained, result) -> list[Cause]:
+def _causes(explained: Explained, problem, result) -> list[Cause]:
     """The causes that were taken, those first that explain most."""
     causes = []
     for taken in sorted(explained.taken, key=lambda t: -t.nats):
         if taken.cause == "response" and result.state.transfer.kind != "curve":
             continue  # sRGB in place of gamma is no deviation
         rivals = [Rival(cause, float(nats)) for cause, nats in taken.rivals.items()]
-        for subject, values, sigma in _found(explained, result, taken.name):
+        for subject, values, sigma in _found(explained, problem, result, taken.name):
             causes.append(Cause(taken.name, subject, values, sigma, float(taken.nats), rivals))
     return causes
 
 
-def _found(explained: Explained, result, name):
-    """[(subject, values, sigma)] of a cause that was taken."""
+def _found(explained: Explained, problem, result, name):
+    """[(subject, values, sigma)] of a cause that was taken. problem, result : of the last fit"""
     values = explained.values.get(name, {})
     if name == "lamp_lobe":
         lobes = explained.lobes.items()
         return [(lamp, plain(_lobe(lobe)), _sigma_of_lobe(explained, lamp)) for lamp, lobe in lobes]
     if name == matrix.NAME:
-        M, sigma = _mixing(explained.problem, result), None
+        M, sigma = _mixing(problem, result), None
         if result.cov_cause is not None:
-            own = explained.problem.cause.of(name)
+            own = problem.cause.of(name)
             sigma = {"matrix": matrix.spread(result.cov_cause[np.ix_(own, own)])}
         return [(None, {"matrix": [list(row) for row in M]}, sigma)]
     if name == "glow":
@@ -116,8 +116,7 @@ def _found(explained: Explained, result, name):
         ]
     if name == "vignetting":
         values = {"k": list(map(float, values["k"])), "centre_px": list(values["centre_px"])}
-        if result.cov_cause is not None:
-            own = explained.problem.cause.of(name)
+        if result.cov_cause is not None and (own := problem.cause.of(name)).any():
             values["k"] = (values["k"] + vignetting.change(result.state.cause[own])).tolist()
             sigma = _believed(vignetting.sigma(result.cov_cause[np.ix_(own, own)]), MOST_OF_LENS)
             return [(None, values, sigma and {"k": sigma})]

@@ -305,7 +305,7 @@ def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) 
     """With the causes that the photograph supports beside those of `begun`, [Taken]."""
     best, more, functions = _climbed(begun, leave)
     variance = patterned.still(best, leave.pixel, leave.lens)
-    problem = replace(best.problem, doubted=_doubted(best) if leave.response else None, variance=variance)
+    problem = replace(best.problem, doubted=doubted(best) if leave.response else None, variance=variance)
     result, scale = fit(problem, start=best.start, **options)
     result.iterations += best.result.iterations
     return Explained(
@@ -313,7 +313,7 @@ def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) 
     )
 
 
-def _doubted(best: Candidate) -> CauseTerms | None:
+def doubted(best: Candidate) -> CauseTerms | None:
     """What the camera may be as well."""
     function, mixing = responses.doubted(best), matrix.doubted(best)
     return function.beside(mixing) if function else mixing

@@ -399,6 +399,8 @@ def _why(task, answer: Answer, edges, things=None):
     """[Why] photograph and facts do not agree, the likeliest first. things : of strangers.things, where known"""
     result = answer.result
     why = agreement.disagreements(answer.problem, result, task.found, task.transfer, answer.explained.rivals)
+    if answer.climb and task.transfer in (None, "auto") and agreement.fits(result):
+        why = [w for w in why if w.cause != "lamp_colour" or not _mixes_colours(answer, w.evidence_nats)]
     if edges is not None and in_doubt(result):
         why = agreement.joined(why, edges.why)
     if not why and answer.climb and task.transfer in (None, "auto"):
@@ -406,6 +408,12 @@ def _why(task, answer: Answer, edges, things=None):
     if answer.audit is None or any(w.cause == "transfer" for w in why):
         return why  # under another function than the camera's, shadows look like things
     return agreement.joined(why, _strange(task, answer, bool(why), things))
+
+
+def _mixes_colours(answer, nats) -> bool:
+    """In the light of what has climbed the camera explains much of what lamps of another colour do: sigma has both."""
+    found = Candidate(answer.problem, answer.result, evidence(answer.problem, answer.result.at))
+    return matrix.may(found) and matrix.promise(found) > MIXES * nats
 
 
 def _rivals(answer) -> dict:

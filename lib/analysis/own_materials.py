@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lib.analysis import agreement, explain, misfits, responses, vignetting
+from lib.analysis import agreement, explain, matrix, misfits, responses, vignetting
 from lib.analysis.answers import Answer, answered, looked, things_of
 from lib.analysis.audit import ALMOST_ALL
-from lib.analysis.candidates import Candidate, enough
+from lib.analysis.candidates import MIXING, Candidate, enough
 from lib.analysis.climbing import SPECULAR
 from lib.analysis.evidence import evidence
 from lib.analysis.gauss_newton import fit
@@ -53,12 +53,15 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
     how = {}
     if explained.is_sure and not audit.given:
         caused = climbed(explained, audit, judged)
-        if not _has_mirrors(caused) or _keeps_causes(caused):
+        climb = caused.climb or caused.dropped
+        if climb is None or not climb.on(*SPECULAR) or _keeps_causes(caused):
             return caused
         # what needs more to climb than beside the causes does not explain it more simply
-        how = {"rounds": caused.climb.rounds + 1}
+        how = {"rounds": climb.rounds + 1}
     bare = explained.without_causes(**task.options)
     answer = climbed(bare, *looked(task, bare), small=False, **how)
+    if how and not caused.climb:
+        return answer if _has_mirrors(answer) else caused  # causes that bent to a mirror hide it
     if not explained.is_sure:
         return answer  # what told mirrors throw looks like many a cause
     if audit.given:
@@ -110,8 +113,34 @@ def _keeps_causes(answer) -> bool:
 
 
 def _asked_again(task, answer, report, leave) -> Answer:
-    may = leave.response and _has_mirrors(answer)
-    return _under_another_response(task, answer, report, leave) if may else answer
+    if not leave.response or not _has_mirrors(answer):
+        return answer
+    return _in_mixed_colours(task, _under_another_response(task, answer, report, leave))
+
+
+def _in_mixed_colours(task, answer) -> Answer:
+    """The last fit with a camera that mixes colours, where it explains enough more: the diffuse fit saw the colours of
+    what mirrors throw, too, and took neither for the camera's."""
+    before = Candidate(answer.problem, answer.result, evidence(answer.problem, answer.result.at))
+    if not matrix.may(before) or matrix.promise(before) < enough(answer.problem, MIXING):
+        return answer
+    mixed = matrix.fitted(before)
+    if not mixed.beats(before) or not matrix.is_of_the_camera(mixed, before):
+        return answer
+    problem = replace(mixed.problem, doubted=responses.doubted(mixed))
+    result, scale = fit(problem, start=mixed.start._replace(near=None), **task.options)
+    taken = explain.Taken(matrix.NAME, mixed.evidence.nats - before.evidence.nats, {})
+    climb = replace(answer.climb, problem=problem, result=result, scale=scale)
+    answer.audit.doubt(problem, result, climb.misfits, climb.places)
+    explained = replace(answer.explained, taken=[*answer.explained.taken, taken])
+    return replace(
+        answer,
+        explained=explained,
+        problem=problem,
+        result=result,
+        scale=scale,
+        ascent=answer.ascent._replace(climb=climb),
+    )
 
 
 def _has_mirrors(answer) -> bool:
@@ -180,6 +209,7 @@ def _of_groups(task, explained, audit, judged, report, leave, only=None, **how) 
     )
     climb, answer = done.climb, answered(explained, audit, judged)
     if not agreement.fits(climb.result) and not audit.given:
+        answer.dropped = climb
         if agreement.fits(explained.result):
             audit.doubt(explained.problem, explained.result, judged)
             if climb.on(*SPECULAR) and misfits.energy(climb.misfits) < HALF * misfits.energy(judged):
@@ -208,12 +238,12 @@ def _with_causes(task, explained, done, leave) -> Ascent:
     """
     site, climb = done.site, done.climb
     problem, at = climb.problem, climb.result.at
-    found = Candidate(problem, climb.result, None)  # only where it stands is asked for
+    found = Candidate(problem, climb.result, evidence(problem, at))
     tiles = climb.tiles.take(np.flatnonzero(climb.tiles.fit))
     cause, alone = None, explained.problem.cause and set(explained.problem.cause.names) == {vignetting.NAME}
     if alone:
         cause = vignetting.left_open(problem, at, explained.lens, tiles.pixel, explained.falloff)
-    doubted = responses.doubted(found) if leave.response else None
+    doubted = explain.doubted(found) if leave.response else None
     problem = replace(problem, cause=cause, doubted=doubted, **_known_of(explained.problem, task.found.tiles, tiles))
     result, scale = fit(problem, start=found.start._replace(near=None), **task.options)
     if alone:

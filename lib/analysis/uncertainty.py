@@ -46,7 +46,7 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         result.shares[cause] = typical
     function, mixing = doubts(problem.doubted)
     if mixing is not None:
-        cov = cov + normal.beside(mixing)
+        cov = cov + normal.beside(mixing, group=problem.tile_group)
     if function is not None:  # the tiles' scatter holds what a bend of the function leaves there: the larger counts
         is_near = np.abs(function.columns).max(initial=0.0) < NEAR
         cov = _at_least(cov, normal.beside(function, RESOLVED if is_near else 0.0))
@@ -114,19 +114,24 @@ class _Normal:
         each = self._by_tile((self.weight * error.reshape(-1))[:, None] * self.J)
         return self.inverse @ (each.T @ each) @ self.inverse
 
-    def beside(self, terms, resolved=0.0):
+    def beside(self, terms, resolved=0.0, group=None):
         """Second moments (n, n) of what numbers leave that are not fitted: how far they may be off, and how far they
         are if the tiles are right.
 
         resolved : display, rms: what changes the tiles by less, once all parameters follow, tells nothing of a number
+        group : (T,) of each tile, where the numbers may hang on one group: how they move without it counts, too
         """
         C = terms.columns.reshape(-1, len(terms.names))
         along = self.inverse @ (self.J.T @ (self.weight[:, None] * C))
         left = C - self.J @ along  # in a valley the fit need not have come to its very floor: that is not of C
         weighted = self.weight[:, None] * left
         known = left.T @ weighted + along.T @ self.prior @ along + np.diag(1 / terms.spread**2)
-        number = np.linalg.solve(known, weighted.T @ self.at.residual.reshape(-1))
+        pull = weighted * self.at.residual.reshape(-1, 1)
+        number = np.linalg.solve(known, pull.sum(axis=0))
         size = np.linalg.inv(known) + np.outer(number, number)
+        for rows in () if group is None else (np.repeat(group == g, self.channels) for g in np.unique(group)):
+            without = np.linalg.solve(known - left[rows].T @ weighted[rows], pull[~rows].sum(axis=0))
+            size += np.outer(without - number, without - number)
         if resolved:
             unknown = EITHER * terms.spread**2 / (1 + ((left**2).mean(axis=0) / resolved**2) ** STEEP)
             size = size + np.diag(np.maximum(unknown - np.diag(size), 0))
