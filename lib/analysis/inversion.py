@@ -32,6 +32,7 @@ MIXES = 0.4
 # times the error that another transfer function leaves beside lobes: so much it must change. A false one changed 1.2;
 # where it leaves no error, anything it changes is more
 DISTINCT = 2.0
+FACES_AWAY = 0.005  # display, median of tiles: lamps that face away were .0145 off and more
 NOTHING = 0.0015  # display, that a group is off by where no thing stands before it: the least would leave .002
 THROWN = 0.3  # of what a group was off by, that mirrors' light leaves where that is all that looked like a thing
 
@@ -221,10 +222,14 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
     rough = Explained(first.problem, first.result, "", given=first)
     given = functools.cache(lambda: rough.without_causes(**task.options))
     seen = functools.cache(lambda: answered(given(), *looked(task, given())))
-    if first.typical >= explain.HOPELESS and (why := _flipped(task, rough)):
+    hopeless = first.typical >= explain.HOPELESS
+    if hopeless and (why := _flipped(task, rough)):
         return _named(task, given(), why)
     promised = explain.promises(first, leave)
     most = max(promised.values())
+    may_face_away = not hopeless and first.typical >= FACES_AWAY and promised[explain.LAMPS] == most
+    if may_face_away and (why := _flipped(task, rough)):
+        return _named(task, given(), why)
     if most < enough(first.problem) or promised[explain.OBJECT] == most:
         return None
     if why := _transfer_told_wrong(task, first, leave, promised, given):

@@ -16,6 +16,7 @@ leaves half of the error beyond noise and its chance is not taken at all: noise 
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ EDGE = 0.0125  # of the picture's width: so near to edges shows an object that i
 # where the whole picture disagrees: so many groups are tried; a rung must explain such a share of a group's error, and
 # leave so much of what neighbouring tiles have in common at most
 FEW, SURE, PROGRESS = 3, 0.8, 0.7
+SHARPEST, DARK = 0.01, 0.02  # alpha, rho_d: a lobe below both may be a mirror
 
 
 def climb(
@@ -78,6 +80,9 @@ def climb(
             break
         before, is_mirror = here.result.correlated, any(here.places[g].rung in MIRRORS for g in taken)
         here = fitted(here)
+        if mirrors := _mirrors_after_all(here):
+            other = fitted(replace(here, places=here.places | mirrors))
+            here = other if other.result.correlated < here.result.correlated else here
         if step.sure_only and not (wanted or is_mirror) and here.result.correlated > PROGRESS * before:
             break  # a mirror's picture is no chance, and there may be more of them
         if back := _back(here, threshold) + _at_border(here):
@@ -323,6 +328,23 @@ def _back(here: Climb, threshold) -> list:
             why=f"{why}; {now:.4f} in the light by way of what climbed after it", tried=here.places[g].tried
         )
     return back
+
+
+def _mirrors_after_all(here: Climb) -> dict:
+    """{group: Place} of lobes that no pixel tells from a mirror, and that reflect nothing else.
+
+    In the light of a diffuse fit a floor that mirrors all looked duller than it is.
+    """
+    found = {}
+    for m, g in enumerate(here.finish.groups if here.finish is not None else ()):
+        place, state = here.places[g], here.result.state
+        sharp = RUNGS[place.rung].lobe and not place.given and place.alpha.max() < SHARPEST
+        if sharp and state.rho[g].max() < DARK:
+            rho_s = np.clip(state.rho_s[m], 1e-3, 1)
+            found[g] = Place(
+                "coloured_mirror", 0 * rho_s, rho_s, why=f"{place.why}; its lobe is a mirror's", tried=place.tried
+            )
+    return found
 
 
 def _at_border(here: Climb) -> list:
