@@ -12,7 +12,7 @@ import numpy as np
 from lib.analysis.candidates import MIXING, NATS, Candidate
 from lib.analysis.evidence import as_others_have_it, gain, promised
 from lib.analysis.gauss_newton import gauss_newton
-from lib.analysis.problem import CauseTerms
+from lib.analysis.problem import CauseTerms, Problem
 
 NAME = "matrix"
 SPREAD = 0.1  # standard deviation of each number beside the diagonal before anything is seen
@@ -33,6 +33,11 @@ def _cause(at, mixing) -> CauseTerms:
     for k, (c, j) in enumerate(OFF):
         columns[:, c, k] = at.slope[:, c] * (B[:, j] - B[:, c])
     return CauseTerms((NAME,) * MIXING, columns, np.full(MIXING, SPREAD), -np.array(mixing or np.eye(3))[OFF_AT])
+
+
+def left_open(problem: Problem, at) -> CauseTerms:
+    """What may be added to M where the scene's light was mixed by it."""
+    return _cause(at, problem.transfer.matrix)
 
 
 def may(found: Candidate) -> bool:

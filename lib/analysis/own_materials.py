@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 IN_DOUBT = 0.6  # times as far a group must stand out where the picture does not fit: something is wrong there anyway
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
+OF_CAMERA = {vignetting.NAME, matrix.NAME}  # causes that are fitted again beside what climbs
 HALF = 0.5  # of what groups are off by, that a climb leaves at most where it is right about most
 SETTLES = 0.65  # of what neighbouring tiles have in common, that one group may leave: right ones .56, false ones .7
 JUST = 0.99  # of what a group is off by, that it may not keep
@@ -96,15 +97,18 @@ def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
 
 
 def _keeps_causes(answer) -> bool:
-    """The camera's one cause, fitted anew beside what mirrors throw, brings what nothing else does: no climb without it
+    """The camera's causes, fitted anew beside what mirrors throw, bring what nothing else does: no climb without them
     does as well."""
     explained, problem, result = answer.explained, answer.problem, answer.result
     causes = {t.cause for t in explained.taken}
-    if causes == {vignetting.NAME} and agreement.fits(result):
-        brings = vignetting.nats(problem, result, explained.falloff)
-    elif causes == {"response"} and agreement.fits(result):
+    if not causes or not agreement.fits(result):
+        return False
+    if causes == {vignetting.NAME}:
+        numbers = result.state.cause - problem.cause.means  # from where there is no shadow
+        brings = float(numbers @ np.linalg.solve(result.cov_cause, numbers)) / 2
+    elif causes <= {"response", matrix.NAME}:
         given = explained.given.problem
-        told = replace(problem, transfer=given.transfer, fit_transfer=given.fit_transfer, doubted=None)
+        told = replace(problem, transfer=given.transfer, fit_transfer=given.fit_transfer, cause=None, doubted=None)
         start = Candidate(problem, result, None).start._replace(transfer=given.transfer, near=None)
         brings = answer.nats - Candidate.of(told, start=start).evidence.nats
     else:
@@ -240,14 +244,17 @@ def _with_causes(task, explained, done, leave) -> Ascent:
     problem, at = climb.problem, climb.result.at
     found = Candidate(problem, climb.result, evidence(problem, at))
     tiles = climb.tiles.take(np.flatnonzero(climb.tiles.fit))
-    cause, alone = None, explained.problem.cause and set(explained.problem.cause.names) == {vignetting.NAME}
-    if alone:
+    before, cause = explained.problem.cause, None
+    alone = set(before.names) if before is not None and set(before.names) <= OF_CAMERA else set()
+    if vignetting.NAME in alone:
         cause = vignetting.left_open(problem, at, explained.lens, tiles.pixel, explained.falloff)
+    if matrix.NAME in alone:
+        cause = matrix.left_open(problem, at).beside(cause)
     doubted = explain.doubted(found) if leave.response else None
     problem = replace(problem, cause=cause, doubted=doubted, **_known_of(explained.problem, task.found.tiles, tiles))
     result, scale = fit(problem, start=found.start._replace(near=None), **task.options)
-    if alone:
-        k = explained.falloff + vignetting.change(result.state.cause)
+    if vignetting.NAME in alone:
+        k = explained.falloff + vignetting.change(result.state.cause[cause.of(vignetting.NAME)])
         site = replace(site, view=vignetting.without(task.view(), explained.lens, k, result.state.transfer))
     return done._replace(site=site, climb=replace(climb, problem=problem, result=result, scale=scale))
 

@@ -12,7 +12,7 @@ from lib.analysis.candidates import Candidate
 from lib.analysis.evidence import promised
 from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import gauss_newton
-from lib.analysis.problem import CauseTerms, Problem, Result
+from lib.analysis.problem import CauseTerms, Problem
 from lib.given.falloff import Lens
 from lib.given.transfer import Metric, Transfer
 from lib.given.view import View
@@ -70,13 +70,6 @@ def left_open(problem: Problem, at, lens: Lens, pixel, k) -> CauseTerms:
 def change(numbers) -> np.ndarray:
     """(TERMS,) of k by the numbers of a fit's terms."""
     return _lenses() @ numbers
-
-
-def nats(problem: Problem, result: Result, k) -> float:
-    """By which a fit beside which k may change tells the lens's shadow from none. k : (TERMS,) where it stands"""
-    own = problem.cause.of(NAME)
-    numbers = np.linalg.solve(_lenses(), k) + result.state.cause[own]
-    return float(numbers @ np.linalg.solve(result.cov_cause[np.ix_(own, own)], numbers) / 2)
 
 
 def sigma(covariance) -> list:
