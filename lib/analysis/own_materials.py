@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 IN_DOUBT = 0.6  # times as far a group must stand out where the picture does not fit: something is wrong there anyway
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
 OF_CAMERA = {vignetting.NAME, matrix.NAME}  # causes that are fitted again beside what climbs
+NEAR = 3.0  # times what the median tile is off by beside causes: one that bent to a lobe left 1.8, right ones 13 to 16
 HALF = 0.5  # of what groups are off by, that a climb leaves at most where it is right about most
 SETTLES = 0.65  # of what neighbouring tiles have in common, that one group may leave: right ones .56, false ones .7
 JUST = 0.99  # of what a group is off by, that it may not keep
@@ -74,17 +75,15 @@ def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
     """Where one group alone is off, by less than any may be: the answer in which it is a mirror or has a lobe, that
     explains all that was left. Causes that were taken may have been what it throws.
     """
-    apart = misfits.apart(explained.problem, explained.result)
-    if apart is None:
+    if misfits.apart(explained.problem, explained.result) is None:
         return None
     ways = [(explained, audit, judged)]
-    if explained.taken and not explained.lobes:
+    is_near = explained.given.typical < NEAR * explained.best.typical  # else all is off without the causes
+    if explained.taken and not explained.lobes and is_near:
         bare = explained.without_causes(**task.options)
         ways.insert(0, (bare, *looked(task, bare)))
     for found, audit, judged in ways:
         group = misfits.apart(found.problem, found.result)
-        if group != apart and not agreement.fits(found.result):
-            continue  # without the causes all is off
         off = judged[group] if group in judged and audit.given.get(group) is None else None
         if off is None or not off.judged or not off.excess:
             continue
