@@ -227,7 +227,7 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
         return _named(task, given(), why)
     promised = explain.promises(first, leave)
     most = max(promised.values())
-    may_face_away = not hopeless and first.typical >= FACES_AWAY and promised[explain.LAMPS] == most
+    may_face_away = not hopeless and first.typical >= FACES_AWAY and promised.get(explain.LAMPS) == most
     if may_face_away and (why := _flipped(task, rough)):
         return _named(task, given(), why)
     if most < enough(first.problem) or promised[explain.OBJECT] == most:
