@@ -250,7 +250,9 @@ def measured(seed, what):
         claims.append(("gamma", transfer["gamma"], gamma, transfer["sigma"]))
     wrong = {group: pair for group, pair in kinds.items() if pair[0] != pair[1]}
     why = [w["cause"] for w in found["why"] or []]
-    return {"seed": seed, "status": found["status"], "told": told, "claims": claims, "wrong": wrong, "why": why}
+    causes = [cause["cause"] for cause in found["explained"] or []]
+    row = {"seed": seed, "status": found["status"], "told": told, "claims": claims, "wrong": wrong}
+    return row | {"why": why, "causes": causes}
 
 
 def table(rows):
@@ -260,6 +262,7 @@ def table(rows):
     yield f"{len(rows)} rooms, {len(green)} converged; others: {others}"
     if wrong := {r["seed"]: r["wrong"] for r in green if r.get("wrong")}:
         yield f"other kinds than they are: {wrong}"
+    yield f"causes that were taken, none is there: {[(r['seed'], *r['causes']) for r in green if r.get('causes')]}"
     yield "quantity      n  held %   (95 % of it)   rms sigma   worst   median sigma / value"
     for quantity in ("rho", "gamma", "lamp", "rho_s", "alpha"):
         by_room = [[(v, t, s) for q, v, t, s in r["claims"] if q == quantity] for r in green]
