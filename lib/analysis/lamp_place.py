@@ -12,7 +12,7 @@ import numpy as np
 from lib.analysis.candidates import Candidate
 from lib.analysis.direct_light import DirectLight
 from lib.analysis.equations import Equations, Layout
-from lib.analysis.evidence import promised
+from lib.analysis.evidence import evidence, promised
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import CauseTerms, Problem
 from lib.analysis.transport import TileLight
@@ -84,12 +84,14 @@ def promise(found: Candidate, lamps: Lamps, lamp, prior_m) -> float:
 def fitted(found: Candidate, lamps: Lamps, lamp, prior_m) -> Candidate:
     """The fit with this lamp where it suits best, beside the causes that were taken. `taken` holds its offset."""
     start, offset, axes = found.start, np.zeros(3), lamps.things[lamp][1]
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         problem = lamps.problem(found.problem, lamp, offset)
         at = _plain(problem, start)
         trial = replace(problem, cause=lamps.cause(problem, at, lamp, offset, prior_m).beside(problem.cause))
         result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=8)
         step = result.state.cause[trial.cause.of(NAME)] @ axes
+        if not turn and (told := evidence(trial, result.at)).nats < found.evidence.nats:
+            return Candidate(trial, result, told, found.taken | {NAME: {lamp: step}})  # one step promised too much
         length = float(np.linalg.norm(step))
         step *= min(1.0, FARTHEST_M / max(length, 1e-12))
         offset = offset + step
