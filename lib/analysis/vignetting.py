@@ -25,7 +25,7 @@ STRANGE = 2.0  # of the unit numbers together: the usual cos^4 has .7, and one b
 LIKELY = 2  # told gammas that one step towards a shadow suits best
 # of the unit numbers, round by round of fitting and dividing: at first little more than the usual shape, or a few tiles
 # far out pass for outliers and the rest takes any shape
-SPREADS = ((0.05, 0.1, 1.0), (0.2, 0.5, 1.0), *((1.0, 1.0, 1.0),) * 3)
+SPREADS = ((0.05, 0.1, 1.0), (0.2, 0.5, 1.0), *((1.0, 1.0, 1.0),) * 8)  # three had left small-2527 half-way
 SETTLED = 2e-3  # change of V at the corner that ends them
 
 
