@@ -102,7 +102,7 @@ def _keeps_causes(answer) -> bool:
     causes = {t.cause for t in explained.taken}
     if not causes or not agreement.fits(result):
         return False
-    if causes == {vignetting.NAME}:
+    if causes == {vignetting.NAME} and result.cov_cause is not None:
         numbers = result.state.cause - problem.cause.means  # from where there is no shadow
         brings = float(numbers @ np.linalg.solve(result.cov_cause, numbers)) / 2
     elif causes <= {"response", matrix.NAME}:
