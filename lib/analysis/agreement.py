@@ -231,8 +231,9 @@ def freed(problem) -> Problem:
 
 
 def _lamp(name, ratio, gain, spared):
-    coloured = np.ptp(ratio) > OFF * ratio.mean()
-    said = ", ".join(f"{v:.3g}" for v in ratio) if coloured else f"{ratio.mean():.3g}"
+    uneven = np.ptp(ratio) > OFF * ratio.mean()
+    coloured = uneven and np.ptp(ratio) > abs(ratio.mean() - 1)
+    said = ", ".join(f"{v:.3g}" for v in ratio) if uneven else f"{ratio.mean():.3g}"
     better = f"fits the photograph better by {gain:.0f} nats"
     if spared:
         better = f"explains the photograph without {' and '.join(spared)}"

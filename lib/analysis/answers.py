@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from lib.analysis.audit import Audit
+from lib.analysis.candidates import Candidate
 from lib.analysis.climbing import Climb
 from lib.analysis.evidence import evidence
 from lib.analysis.explain import Explained
@@ -35,9 +36,15 @@ class Answer:
     warnings: list = field(default_factory=list)
 
     @property
+    def candidate(self) -> Candidate:
+        """Its fit, to be compared with others."""
+        of_fit = lambda: Candidate(self.problem, self.result, evidence(self.problem, self.result.at))
+        return self.result.once("candidate", of_fit)
+
+    @property
     def nats(self) -> float:
         """Evidence of its fit."""
-        return evidence(self.problem, self.result.at).nats
+        return self.candidate.evidence.nats
 
     @property
     def climb(self) -> Climb | None:

@@ -19,7 +19,6 @@ from lib.analysis.agreement import in_doubt
 from lib.analysis.answers import Answer, answered, audit_of, looked, things_of
 from lib.analysis.candidates import Candidate, enough
 from lib.analysis.climbing import SPECULAR
-from lib.analysis.evidence import evidence
 from lib.analysis.explain import Explained, Leave
 from lib.analysis.lamp_lobe import LampLobes
 from lib.analysis.own_materials import materials
@@ -417,8 +416,7 @@ def _why(task, answer: Answer, edges, things=None):
 
 def _mixes_colours(answer, nats) -> bool:
     """In the light of what has climbed the camera explains much of what lamps of another colour do: sigma has both."""
-    found = Candidate(answer.problem, answer.result, evidence(answer.problem, answer.result.at))
-    return matrix.may(found) and matrix.promise(found) > MIXES * nats
+    return matrix.may(answer.candidate) and matrix.promise(answer.candidate) > MIXES * nats
 
 
 def _rivals(answer) -> dict:
@@ -430,10 +428,9 @@ def _rivals(answer) -> dict:
     rivals = answer.explained.rivals
     if not rivals or answer.climb is None:
         return rivals
-    problem, result = answer.problem, answer.result
-    found = Candidate(problem, result, evidence(problem, result.at))
+    found = answer.candidate
     promised = responses.promise(found)
-    if promised >= enough(problem):
+    if promised >= enough(found.problem):
         return rivals
     others = responses.fitted(found) if promised > 0 else []
     tells = [c for c in others if c.off(found) > DISTINCT * c.evidence.discrepancy]

@@ -81,8 +81,11 @@ def promise(found: Candidate, lamps: Lamps, lamp, prior_m) -> float:
     return promised(found.problem, at, cause.columns, prior=prior).nats - found.evidence.nats
 
 
-def fitted(found: Candidate, lamps: Lamps, lamp, prior_m) -> Candidate:
-    """The fit with this lamp where it suits best, beside the causes that were taken. `taken` holds its offset."""
+def fitted(found: Candidate, lamps: Lamps, lamp, prior_m) -> Candidate | None:
+    """The fit with this lamp where it suits best, beside the causes that were taken. `taken` holds its offset.
+
+    None where the first fit brings nothing: one step promised too much.
+    """
     start, offset, axes = found.start, np.zeros(3), lamps.things[lamp][1]
     for turn in range(ROUNDS):
         problem = lamps.problem(found.problem, lamp, offset)
@@ -90,8 +93,8 @@ def fitted(found: Candidate, lamps: Lamps, lamp, prior_m) -> Candidate:
         trial = replace(problem, cause=lamps.cause(problem, at, lamp, offset, prior_m).beside(problem.cause))
         result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=8)
         step = result.state.cause[trial.cause.of(NAME)] @ axes
-        if not turn and (told := evidence(trial, result.at)).nats < found.evidence.nats:
-            return Candidate(trial, result, told, found.taken | {NAME: {lamp: step}})  # one step promised too much
+        if not turn and evidence(trial, result.at).nats < found.evidence.nats:
+            return None
         length = float(np.linalg.norm(step))
         step *= min(1.0, FARTHEST_M / max(length, 1e-12))
         offset = offset + step

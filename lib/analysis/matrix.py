@@ -47,18 +47,26 @@ def may(found: Candidate) -> bool:
 
 
 def doubted(found: Candidate) -> CauseTerms | None:
-    """What a camera that mixes colours would change, if it may be one and was not taken for one."""
-    return _cause(found.result.at, ()) if may(found) and promise(found) >= NATS else None
+    """What a camera that mixes colours would change, if it may be one and was not taken for one.
+
+    Whatever it promises, by one group or by all: to take it is one thing, to be sure that it is not there another.
+    """
+    return _cause(found.result.at, ()) if may(found) and _step(found)[0] >= NATS else None
 
 
 def promise(found: Candidate) -> float:
     """Nats that one step towards a camera that mixes colours brings; of all groups but one if that gains most."""
+    total, others = _step(found)
+    # where one group gains most, its light or its material may be what is wrong
+    return total if others >= max(NATS, SEVERAL * total) else others
+
+
+def _step(found: Candidate) -> tuple[float, float]:
+    """Nats of one step towards a camera that mixes colours: of all groups, and of all but the one that gains most."""
     cause = _cause(found.result.at, ())
     prior = np.diag(1 / cause.spread**2)
     mixed = promised(found.problem, found.result.at, cause.columns, prior=prior)
-    total, others = gain(found.problem, mixed, found.evidence)
-    # where one group gains most, its light or its material may be what is wrong
-    return total if others >= max(NATS, SEVERAL * total) else others
+    return gain(found.problem, mixed, found.evidence)
 
 
 def is_of_the_camera(mixed: Candidate, found: Candidate) -> bool:

@@ -52,7 +52,7 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
         return _asked_again(task, answer, report, leave)
     if not flagged or not explained.taken or explained.lobes:
         return climbed(explained, audit, judged)
-    how = {}
+    caused, how = None, {}
     if explained.is_sure and not audit.given:
         caused = climbed(explained, audit, judged)
         climb = caused.climb or caused.dropped
@@ -62,12 +62,11 @@ def materials(task, explained, audit, judged, report, leave) -> Answer:
         how = {"rounds": climb.rounds + 1}
     bare = explained.without_causes(**task.options)
     answer = climbed(bare, *looked(task, bare), small=False, **how)
-    if how and not caused.climb:
-        return answer if _has_mirrors(answer) else caused  # causes that bent to a mirror hide it
     if not explained.is_sure:
         return answer  # what told mirrors throw looks like many a cause
-    if audit.given:
-        caused = climbed(explained, audit, judged)
+    caused = caused or climbed(explained, audit, judged)
+    if caused.dropped:
+        return answer if _has_mirrors(answer) else caused  # causes that bent to a mirror hide it
     return caused if caused.nats >= answer.nats + enough(bare.problem) else answer
 
 
@@ -108,7 +107,7 @@ def _keeps_causes(answer) -> bool:
     elif causes <= {"response", matrix.NAME}:
         given = explained.given.problem
         told = replace(problem, transfer=given.transfer, fit_transfer=given.fit_transfer, cause=None, doubted=None)
-        start = Candidate(problem, result, None).start._replace(transfer=given.transfer, near=None)
+        start = answer.candidate.start._replace(transfer=given.transfer, near=None)
         brings = answer.nats - Candidate.of(told, start=start).evidence.nats
     else:
         return False
@@ -124,7 +123,7 @@ def _asked_again(task, answer, report, leave) -> Answer:
 def _in_mixed_colours(task, answer) -> Answer:
     """The last fit with a camera that mixes colours, where it explains enough more: the diffuse fit saw the colours of
     what mirrors throw, too, and took neither for the camera's."""
-    before = Candidate(answer.problem, answer.result, evidence(answer.problem, answer.result.at))
+    before = answer.candidate
     if not matrix.may(before) or matrix.promise(before) < enough(answer.problem, MIXING):
         return answer
     mixed = matrix.fitted(before)
@@ -156,7 +155,7 @@ def _under_another_response(task, answer, report, leave) -> Answer:
 
     All is begun anew under the one that is found, and kept if it explains enough more.
     """
-    before = Candidate(answer.problem, answer.result, evidence(answer.problem, answer.result.at))
+    before = answer.candidate
     promised = responses.promise(before)
     if promised < enough(answer.problem):
         return answer

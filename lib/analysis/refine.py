@@ -154,6 +154,8 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
         return None
     prior = sigma_m.get(lamp, LAMP_PLACE_M)
     best = base.once(("lamp_place", lamp), lambda base: _moved(explained, base, lamps, lamp, prior))
+    if best is None:
+        return None
     nats = best.evidence.nats - base.evidence.nats
     if nats < least:
         return None
@@ -184,10 +186,10 @@ def is_elsewhere(step, covariance) -> bool:
     return bool(step @ np.linalg.solve(covariance, step) >= SURELY**2)
 
 
-def _moved(explained: Explained, base: Candidate, lamps, lamp, prior_m) -> Candidate:
-    """The fit with the lamp elsewhere, and the lens's shadow as it is then."""
+def _moved(explained: Explained, base: Candidate, lamps, lamp, prior_m) -> Candidate | None:
+    """The fit with the lamp elsewhere, and the lens's shadow as it is then; None where that brings nothing."""
     best = lamp_place.fitted(base, lamps, lamp, prior_m)
-    if vignetting.NAME not in best.taken:
+    if best is None or vignetting.NAME not in best.taken:
         return best
     return vignetting.fitted(best, explained.lens, lamps.light.found.tiles.pixel)
 
