@@ -17,6 +17,7 @@ from lib.vision.facets import (
     dense,
     folds,
     intensities,
+    junctions,
     overlap,
     overlap_kernels,
     profiles,
@@ -131,22 +132,67 @@ def two_upright_sides(off_px=0.0):
 def test_a_facet_between_a_wall_and_what_hides_it_does_not_know_its_tilt():
     """Its right side is a nearer thing's: the plane through both sides is 12 px off there, and agrees with both.
 
-    The regions cover each other badly; the truth is then inside the ellipsoid. It was outside by tens of sigma.
+    Its borders are doubted; the truth is then inside the ellipsoid. It was outside by tens of sigma.
     """
     x, plane = two_upright_sides(12.0)
     own = np.linalg.inv(x.A)
     step = -own @ x.b
     e = plane * [40, 40, 1] + step
     assert e @ np.linalg.solve(own, e) > 1e4
-    added = uncertainty.turned_about_the_rest(x, plane, 0.8)
+    added = uncertainty.turned_about_the_rest(x, plane, np.ones(4, bool))
     assert e @ np.linalg.solve(own + added, e) < CHI2_95
 
 
-def test_a_facet_whose_regions_cover_each_other_keeps_its_tilt():
+def test_a_facet_of_which_no_border_is_doubted_keeps_its_tilt():
     x, plane = two_upright_sides(12.0)
-    assert not uncertainty.turned_about_the_rest(x, plane, 0.95).any()
+    assert not uncertainty.turned_about_the_rest(x, plane, np.zeros(4, bool)).any()
+    assert not uncertainty.turned_about_the_rest(x, plane, np.array([False, False, True, True])).any()
     told = replace(x, texture=(plane, np.eye(3)))
-    assert not uncertainty.turned_about_the_rest(told, plane, 0.8).any()
+    assert not uncertainty.turned_about_the_rest(told, plane, np.ones(4, bool)).any()
+
+
+@pytest.mark.parametrize(
+    ("floor", "leg_goes_on", "doubted"),
+    [((0.2, 0.5, 0.3), True, True), ((0.2, 0.5, 0.3), False, False), ((0.45, 0.42, 0.4), True, False)],
+)
+def test_a_side_that_goes_on_past_the_corner_is_of_what_hides_the_region(floor, leg_goes_on, doubted):
+    """A wall, a leg to its right and a floor below both. A floor of the wall's own colour, darker, is its shadow."""
+    pair, _, _ = matching.toy()
+    picture = np.empty((40, 64, 3))
+    picture[:] = (0.65, 0.607, 0.578)
+    picture[25:] = floor
+    picture[: 40 if leg_goes_on else 25, 40:] = (0.5, 0.2, 0.2)
+    labels = np.ones((40, 64), int)
+    labels[25:], labels[:25, 40:] = 2, 3
+    rows = np.zeros((20, kernels.COLUMNS))
+    rows[:, kernels.NORMAL_U] = rows[:, kernels.SIGMA] = rows[:, kernels.WEIGHT] = 1
+    c = pair.left.K[:2, 2]
+    rows[:, kernels.U], rows[:, kernels.V] = 39.5 - c[0], np.arange(4, 24) - c[1]
+    borders = np.ones(20, int)
+    go_on = junctions.go_on(pair, labels, picture, 1, 0.002, rows, borders)
+    assert list(go_on) == [False, doubted, False, False]
+
+
+def test_a_side_that_nothing_checks_is_less_sure():
+    """Of two sides each tells its own place alone; of eight in all directions none tells much alone."""
+    x, plane = two_upright_sides()
+    sigma = np.full(2, 0.05)
+    covariance = np.linalg.inv(uncertainty.with_sides(x, sigma).A)
+    wider = np.linalg.eigvals(np.linalg.solve(covariance, uncertainty.unchecked(x, sigma))).real
+    assert 1 < wider.max() <= uncertainty.TAIL + 1e-9
+    assert not uncertainty.unchecked(x, np.zeros(2)).any()
+    side = np.repeat(np.arange(8), 10)
+    angle = np.radians(45 * side + 20)
+    normal = np.column_stack([np.cos(angle), np.sin(angle)])
+    uv = 40 * normal + np.tile(np.linspace(-15, 15, 10), 8)[:, None] * normal[:, ::-1] * [-1, 1]
+    rows = np.zeros((80, kernels.COLUMNS))
+    rows[:, :3] = -normal[:, :1] * np.column_stack([uv, np.ones(80)]) / 0.05
+    rows[:, kernels.PART], rows[:, kernels.SIGMA], rows[:, kernels.WEIGHT] = side, 0.05, 1
+    x = contours.measured_at(plane, np.zeros(2), 40.0, rows, 8)
+    sigma = np.full(8, 0.05)
+    covariance = np.linalg.inv(uncertainty.with_sides(x, sigma).A)
+    wider = np.linalg.eigvals(np.linalg.solve(covariance, uncertainty.unchecked(x, sigma))).real
+    assert wider.max() < 0.5
 
 
 def test_upright_sides_may_be_off_farther_than_level_ones():

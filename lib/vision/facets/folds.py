@@ -14,6 +14,7 @@ from lib.vision import matching_kernels
 from lib.vision.facets.sides import Lines
 
 BEST = 40  # planes of two sides that are tried in pairs, those with which most of the outline agrees
+FEW = 5  # of these, tried beside all others
 BOTH = 0.1  # of the region on either plane, at least
 MORE_AGREE = 0.1  # of the straight sides, than with any one plane
 MORE_COVERED = 0.003  # of both regions
@@ -29,11 +30,10 @@ def folded(sight, l: int, r: int, plane, uv0, size: float, lines: Lines | None) 
         return False
     planes = np.vstack([plane, lines.planes(size)])
     score = lines.score(planes)
-    best = np.append(0, 1 + np.argsort(-score[1:], kind="stable")[:BEST])
+    first, second = _pairs(score)
     left = _places(sight, l, "left", uv0)
-    first, second = np.triu_indices(len(best), 1)
-    two = np.stack([planes[best[first]], planes[best[second]]], axis=1)
-    nearer = _disparity(planes[best], left).T
+    two = np.stack([planes[first], planes[second]], axis=1)
+    nearer = _disparity(planes, left).T
     share = (nearer[first] > nearer[second]).mean(axis=1)
     two = two[np.minimum(share, 1 - share) > BOTH]
     if not len(two):
@@ -46,6 +46,17 @@ def folded(sight, l: int, r: int, plane, uv0, size: float, lines: Lines | None) 
     right = _places(sight, r, "right", uv0)
     covered = lambda planes, seen: _covered(sight, l, r, uv0, left, right, planes, seen)
     return covered(two[agree.argmax()], seen) > covered(plane[None], np.max) + MORE_COVERED
+
+
+def _pairs(score):
+    """Two times (h,) which planes are tried together, of n with a score (n,), the first of them the region's own.
+
+    Every two of the BEST, and every one beside the FEW best: of two walls one may hold most of the sides.
+    """
+    order = np.append(0, 1 + np.argsort(-score[1:], kind="stable"))
+    first, second = np.triu_indices(len(order), 1)
+    tried = (second < BEST) | (first < FEW)
+    return order[first[tried]], order[second[tried]]
 
 
 def _places(sight, label, side, uv0):

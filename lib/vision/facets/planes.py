@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.vision import matching
-from lib.vision.facets import folds, overlap, profiles, uncertainty
+from lib.vision.facets import folds, junctions, overlap, profiles, uncertainty
 from lib.vision.facets.borders import Borders, borders, noise, noise_without_texture
 from lib.vision.facets.contours import LEAST_POINTS, Measured, away, borders_apart, contour_plane, in_holes, parts
 from lib.vision.facets.dense import DensePlane, disparities, textured
@@ -31,6 +31,7 @@ from lib.vision.facets.sides import MOST_SLOPE, lines
 
 METHODS = ("least-squares", "overlap")
 LEAST_OVERLAP = 0.6
+COVERS = 0.92  # mutual overlap from which both regions are one thing
 LEAST_ROWS = 6  # ends of rows, for a plane to start from
 LEAST_SIDES = 0.1  # share of its straight sides that must agree with a plane, less those behind it
 THIN = 5.0  # px: of thinner regions both borders lie in one blur
@@ -184,6 +185,7 @@ class _Sight:
     regions: tuple[matching.RegionArrays, matching.RegionArrays]
     edges: tuple[Borders, Borders]
     noise: tuple[float, float]  # standard deviation of the photographs' noise
+    left_values: np.ndarray  # (H, W, C) in [0, 1]
 
 
 def _look(pair, labels, values, left, right):
@@ -193,7 +195,7 @@ def _look(pair, labels, values, left, right):
         borders(pair, labels[0], values[0], left, "left", sigma[0]),
         borders(pair, labels[1], values[1], right, "right", sigma[1]),
     )
-    return _Sight(pair, views, (matching.regions(views[0]), matching.regions(views[1])), edges, tuple(sigma))
+    return _Sight(pair, views, (matching.regions(views[0]), matching.regions(views[1])), edges, tuple(sigma), values[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,7 +388,11 @@ def _facet(sight, l, r, x, sigma_side):
     covered = matching.mutual_overlap(sight.regions, sight.views, l - 1, r - 1, plane, pair.f_px)
     if covered < LEAST_OVERLAP:
         return "overlap: left does not cover right"
-    covariance += of_m(uncertainty.turned_about_the_rest(x, here, covered))
+    doubted = covered < COVERS or junctions.go_on(
+        pair, sight.views[0].labels, sight.left_values, l, sight.noise[0], x.rows, uncertainty.borders(x)
+    )
+    turned = uncertainty.turned_about_the_rest(x, here, np.broadcast_to(doubted, 4))
+    covariance += of_m(uncertainty.unchecked(x, sigma_side) + turned)
     by = "contour" if x.texture is None else "both" if x.points else "texture"
     return Facet(l, r, m, covariance, polygon, covered, x.rms_px, by)
 

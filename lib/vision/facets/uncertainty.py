@@ -1,8 +1,8 @@
 """How well planes are known, beyond the noise of independent points.
 
-Five things add to it. Neighbouring points err together (`together`). Sides of outlines are off as a whole
+Six things add to it. Neighbouring points err together (`together`). Sides of outlines are off as a whole
 (`side_sigma`, `own_side_sigma`). One side may not be the facet's: others may show it (`held_by_sides`) or not
-(`turned_about_the_rest`). Borders and texture may contradict each other (`disagreement`).
+(`unchecked`, `turned_about_the_rest`). Borders and texture may contradict each other (`disagreement`).
 """
 
 from typing import NamedTuple
@@ -16,10 +16,12 @@ MISFIT = 1.2  # times the ordinary rms of the pair's borders: what lies farther 
 CHI2_95 = 7.81  # of 3 degrees of freedom
 SIDE_SIGMAS = np.array([0, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])  # px, tried
 ASIDE = 1.5  # times farther off, along the epipolar lines, than level sides are: a whole upright one, see `asides`
-COVERS = 0.92  # mutual overlap from which a facet's sides confirm each other
 UPRIGHT = 0.6  # of its normal along u: a side to the left or right of the region, else above or below it
 LINE = 1.5  # px, standard deviation of border points across the line that they lie in
 RESTS = 5.0  # times less certain without the sides of holes: the plane rests on them
+TAIL = 10.0  # times the variance of a side: what the few that are far off add to it, where no other side shows it
+EXACT = 0.006  # px: sides of exact pairs, of which none is far off
+ALONE = 8  # power of a side's share in what is known
 ESSENTIAL = 0.9  # share of what is known in some direction that is one side's, at most: the plane rests on it
 
 
@@ -150,26 +152,52 @@ def held_by_sides(x: Measured, sigma_side, covariance, step) -> np.ndarray:
     return root @ (axes * np.maximum(wider, 1)) @ axes.T @ root
 
 
-def turned_about_the_rest(x: Measured, plane, overlap: float) -> np.ndarray:
-    """(3, 3) to add to the covariance of a plane's correction: it may be turned about what tells it without one side.
+def unchecked(x: Measured, sigma_side) -> np.ndarray:
+    """(3, 3) to add to the covariance of a plane's correction: what comes of sides that no others check.
+
+    A few sides in a hundred are off by many times the pair's sigma: a strip too thin to see, a shadow's edge. Where
+    other sides contradict such a one, its pull shows it (`held_by_sides`). Where none could, its variance must hold
+    the chance of it: TAIL times as much, by its share in what is known (docs/design.md, Surfaces).
+    """
+    if len(x.rows) == 0:
+        return np.zeros((3, 3))
+    covariance = np.linalg.inv(with_sides(x, sigma_side).A)
+    values, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(values) @ axes.T
+    share = np.zeros(len(x.C))
+    parts = np.unique(x.rows[:, PART].astype(int))
+    for p, (own, _) in zip(parts, _of_each_side(x, sigma_side, np.zeros(3)), strict=True):
+        share[p] = np.clip(np.linalg.eigvalsh(root @ own @ root)[-1], 0, 1)
+    wider = np.sqrt(sigma_side**2 + TAIL * share**ALONE * np.maximum(sigma_side**2 - EXACT**2, 0))
+    return np.linalg.inv(with_sides(x, wider).A) - covariance
+
+
+def borders(x: Measured) -> np.ndarray:
+    """(n,) of each border point: 0 left of the region, 1 right of it, 2 above, 3 below."""
+    nu, below = x.rows[:, NORMAL_U], x.rows[:, V] > x.uv0[1]
+    return np.where(nu < -UPRIGHT, 0, np.where(nu > UPRIGHT, 1, 2 + below))
+
+
+def turned_about_the_rest(x: Measured, plane, doubted) -> np.ndarray:
+    """(3, 3) to add to the covariance of a plane's correction: it may be turned about what tells it without one border.
 
     Two lines give a plane whatever they are, so a facet that rests on what borders it to the left, say, agrees with
-    that border even where it belongs to a thing before it. What carries the left region onto the right one is then
-    another plane, and the two cover each other badly. Where they do, the plane about the other sides is not known: it
-    may be any, and one sigma is the turn up to where it faces the cameras.
+    that border even where it belongs to a thing before it. The plane about the other borders is then not known: it may
+    be any, and one sigma is the turn up to where it faces the cameras.
 
-    plane : (a, b, c) at x.uv0;  overlap : of the right region and the left one that the plane moves
+    plane : (a, b, c) at x.uv0;  doubted : (4,) bool, which of the borders may be of other things
     """
     added = np.zeros((3, 3))
-    if x.texture is not None or len(x.rows) == 0 or overlap >= COVERS:
+    if x.texture is not None or len(x.rows) == 0 or not np.any(doubted):
         return added
-    nu, below = x.rows[:, NORMAL_U], x.rows[:, V] > x.uv0[1]
-    border = np.where(nu < -UPRIGHT, 0, np.where(nu > UPRIGHT, 1, 2 + below))
+    border = borders(x)
     J, w = x.rows[:, :3] / [x.size, x.size, 1], x.rows[:, WEIGHT]
-    for side in np.unique(border):
+    for side in np.flatnonzero(doubted):
         rest = border != side
+        if rest.all():
+            continue
         values, axes = np.linalg.eigh((J[rest] * w[rest, None]).T @ J[rest] + 1e-9 * np.eye(3))
-        if values[0] * AGREE**2 < 1:  # without the side the plane is not known well enough to deny it
+        if values[0] * AGREE**2 < 1:  # without the border the plane is not known well enough to deny it
             axis = axes[:, 0]
             turn = axis * (plane[:2] @ axis[:2]) * x.size / max(axis[:2] @ axis[:2], 1e-12)
             added += np.outer(turn, turn)
