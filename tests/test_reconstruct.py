@@ -27,7 +27,7 @@ from lib.vision.facets import (
 from lib.vision.facets import contours_kernels as kernels
 from lib.vision.facets import planes as facets
 from lib.vision.facets.contours_kernels import Border
-from tests.helpers import pairs
+from tests.helpers import pairs, real_boards
 from tests.helpers.pairs import parallel
 
 DATA = Path(__file__).resolve().parents[1] / "data"
@@ -319,64 +319,16 @@ def test_chessboards():
     The board's plane from its region, against the plane through its triangulated corners (measured: 0.12 degree,
     0.11 %).
     """
-    import cv2
-
-    nx, ny = 9, 6
-    board = np.zeros((nx * ny, 3), np.float32)
-    board[:, :2] = np.mgrid[:nx, :ny].T.reshape(-1, 2) * 0.025
-    names = sorted(p.name[5:7] for p in (DATA / "opencv-stereo13" / "boards").glob("left-*.png"))
-    assert len(names) == 13
-    grey, corners = {}, {}
-    for side in ("left", "right"):
-        for name in names:
-            grey[side, name] = cv2.imread(
-                str(DATA / "opencv-stereo13" / "boards" / f"{side}-{name}.png"), cv2.IMREAD_GRAYSCALE
-            )
-            q = cv2.findChessboardCorners(grey[side, name], (nx, ny))[1]
-            corners[side, name] = cv2.cornerSubPix(
-                grey[side, name], q.astype(np.float32), (5, 5), (-1, -1), (3, 50, 1e-4)
-            )
-    points = [board] * len(names)
-    lens = {
-        s: cv2.calibrateCamera(points, [corners[s, n] for n in names], (640, 480), None, None)[1:3]
-        for s in ("left", "right")
-    }
-    R, t = cv2.stereoCalibrate(
-        points,
-        [corners["left", n] for n in names],
-        [corners["right", n] for n in names],
-        *lens["left"],
-        *lens["right"],
-        (640, 480),
-        flags=cv2.CALIB_FIX_INTRINSIC,
-    )[5:7]
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t[:, 0]
-    left, right = (Camera(lens[s][0], 640, 480, pose) for s, pose in (("left", np.eye(4)), ("right", T)))
-    pair = matching.stereo(left, right)
+    boards = real_boards.board_pairs()
+    assert len(boards) == 13
     worst = np.zeros(2)
-    for name in names:
-        values, labels, q = [], [], []
-        for side in ("left", "right"):
-            K, D = lens[side]
-            values.append(np.ascontiguousarray(cv2.undistort(grey[side, name], K, D)[..., None] / 255.0))
-            q.append(cv2.undistortPoints(corners[side, name], K, D, P=K)[:, 0])
-            ring = q[-1].reshape(ny, nx, 2)[[0, 0, -1, -1], [0, -1, -1, 0]]
-            H = cv2.getPerspectiveTransform(np.float32([[0, 0], [8, 0], [8, 5], [0, 5]]), np.float32(ring))
-            outer = cv2.perspectiveTransform(np.float32([[[-0.9, -0.9], [8.9, -0.9], [8.9, 5.9], [-0.9, 5.9]]]), H)[0]
-            labels.append(
-                cv2.fillConvexPoly(np.ones((480, 640), np.uint8), np.round(outer).astype(np.int32), 2).astype(np.int32)
-            )
-        p = cv2.triangulatePoints(left.K @ np.eye(4)[:3], right.K @ T[:3], q[0].T, q[1].T)
-        p = (p[:3] / p[3]).T
-        n = np.linalg.svd(p - p.mean(axis=0))[2][2]
-        true = n / (n @ p.mean(axis=0))
-        matches = matching.match(pair, *labels, *values)
+    for x in boards:
+        matches = matching.match(x.pair, *x.labels, *x.values)
         assert 2 in matches.left
-        found, refused, _ = facets.reconstruct(pair, labels, values, matches.left, matches.right)
-        (board_facet,) = [x for x in found if x.left_label == 2]
-        v = p.mean(axis=0) / p.mean(axis=0)[2]
-        worst = np.maximum(worst, [angle_deg(board_facet.m, true), abs((v @ true) / (v @ board_facet.m) - 1)])
+        found, refused, _ = facets.reconstruct(x.pair, x.labels, x.values, matches.left, matches.right)
+        (facet,) = [f for f in found if f.left_label == 2]
+        depth = (x.middle @ x.true) / (x.middle @ facet.m)
+        worst = np.maximum(worst, [angle_deg(facet.m, x.true), abs(depth - 1)])
     assert worst[0] < 0.5 and worst[1] < 0.005
 
 

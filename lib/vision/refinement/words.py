@@ -1,5 +1,7 @@
 """What a user should know of a pose: why it is refused, and what is doubtful about one that is not."""
 
+import math
+
 from lib.vision.refinement.pose import MOST
 
 POOR_PX = 0.25  # rms; sharp photographs of an exact model stay at 0.06 to 0.15
@@ -20,8 +22,8 @@ def refusal(found, result, denied=(0, 0), most=1.0) -> str:
             f"{100 * most:.0f} % may"
         )
     return (
-        f"{found.why or 'a pose explains them'}, and the photographs show {100 * result.support:.0f} % of the best "
-        f"pose's edges, {100 * result.least:.0f} % needed; {nats}{rivals}{against}"
+        f"{found.why or 'a pose explains them'}, and the photographs show {math.floor(100 * result.support)} % of the "
+        f"best pose's edges, {100 * result.least:.0f} % needed; {nats}{rivals}{against}"
     )
 
 
