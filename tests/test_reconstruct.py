@@ -860,6 +860,23 @@ def test_sides_of_holes_are_told():
     assert hole[contours.parts(labels, 1, q)].tolist() == [True, False]
 
 
+def test_folds_are_sought_beyond_the_best_planes():
+    """Two walls of which one has most of the outline: the other's plane, by itself, is far down the list."""
+    first, second = folds._pairs(np.r_[0.5, np.linspace(0.6, 0, 199)])
+    tried = set(zip(first.tolist(), second.tolist(), strict=True))
+    assert {(0, 1), (0, 199), (38, 39), (4, 199)} <= tried and (100, 150) not in tried
+
+
+def test_what_an_edge_of_the_picture_cuts_off_is_enclosed():
+    """A lamp at the picture's upper edge is; the floor below, which touches three edges, is not."""
+    labels = np.ones((60, 80), int)
+    labels[:12, 30:50] = 2
+    labels[45:] = 3
+    hole = contours.in_holes(labels, 1)
+    q = np.array([[29.5, 6.0], [40.0, 11.5], [40.0, 44.5]])
+    assert hole[contours.parts(labels, 1, q)].tolist() == [True, True, False]
+
+
 # -- the paper's way
 
 

@@ -11,6 +11,7 @@ from lib.vision.facets.contours_kernels import NORMAL_U, PART, RESIDUAL, SIGMA, 
 AGREE = 0.25  # px: a part of the border that lies so far from where the plane puts it is not the facet's own
 PARTS = 12  # parts tried as the ones that are
 LEAST_POINTS = 12  # of the border or of the texture
+BEYOND_PX = 3.0  # from a side, where it is asked what lies there: sides are straight to 1.5 px
 
 
 def parts(labels, label: int, q) -> np.ndarray:
@@ -32,28 +33,24 @@ def parts(labels, label: int, q) -> np.ndarray:
 
 
 def in_holes(labels, label: int) -> np.ndarray:
-    """(P,) bool of the sides that `parts` counts: what lies beyond is enclosed, and most likely stands before the region.
+    """(P,) bool of the sides that `parts` counts: of what is enclosed, and so most likely stands before the region.
 
     Enclosed by the region, or by it and one edge of the picture, which cuts many a lamp under a ceiling in two.
     """
     import cv2
 
-    outside = (labels != label).astype(np.uint8)
-    n, beyond = cv2.connectedComponents(outside, connectivity=4)
-    edges = [set(np.unique(edge)) - {0} for edge in (beyond[0], beyond[-1], beyond[:, 0], beyond[:, -1])]
-    corners = set(beyond[[0, 0, -1, -1], [0, -1, 0, -1]])
-    touched = np.bincount(np.concatenate([list(edge) for edge in edges]).astype(int), minlength=n)
-    enclosed = (touched == 0) | ((touched == 1) & ~np.isin(np.arange(n), list(corners)))
+    n, beyond = cv2.connectedComponents((labels != label).astype(np.uint8), connectivity=4)
+    edges = [np.setdiff1d(edge, 0) for edge in (beyond[0], beyond[-1], beyond[:, 0], beyond[:, -1])]
+    touched = np.bincount(np.concatenate(edges), minlength=n)  # edges of the picture that each piece touches
+    touched[beyond[[0, 0, -1, -1], [0, -1, 0, -1]]] = len(edges)
     found = []
     for ring in _rings(labels, label):
         along = np.roll(ring, -1, 0) - ring
-        aside = np.column_stack([along[:, 1], -along[:, 0]]) / np.maximum(
-            np.linalg.norm(along, axis=1, keepdims=True), 1
-        )
-        places = ring + along / 2 + np.array([[[-3.0]], [[3.0]]]) * aside  # one of the two lies outside
-        x, y = np.moveaxis(np.rint(places).astype(int), 2, 0)
+        aside = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True).clip(1)
+        either = ring + along / 2 + BEYOND_PX * np.array([[[-1]], [[1]]]) * aside  # one of the two lies outside
+        x, y = np.moveaxis(np.rint(either).astype(int), 2, 0)
         there = beyond[y.clip(0, labels.shape[0] - 1), x.clip(0, labels.shape[1] - 1)].max(axis=0)
-        found.append((there > 0) & enclosed[there])
+        found.append((there > 0) & (touched[there] < 2))
     return np.concatenate(found)
 
 
