@@ -158,7 +158,7 @@ def test_a_facet_of_which_no_border_is_doubted_keeps_its_tilt():
 def test_a_side_that_goes_on_past_the_corner_is_of_what_hides_the_region(floor, leg_goes_on, doubted):
     """A wall, a leg to its right and a floor below both. A floor of the wall's own colour, darker, is its shadow."""
     pair, _, _ = matching.toy()
-    picture = np.empty((40, 64, 3))
+    picture = np.empty((40, 64, 3), np.float32)
     picture[:] = (0.65, 0.607, 0.578)
     picture[25:] = floor
     picture[: 40 if leg_goes_on else 25, 40:] = (0.5, 0.2, 0.2)

@@ -25,11 +25,10 @@ INSIDE = 0.4  # of the places beyond the corner in the region itself: it does no
 def go_on(pair, labels, values, label: int, noise: float, rows, borders) -> np.ndarray:
     """(4,) bool: the longest side in each border of a region goes on beyond one of its ends.
 
-    labels : (H, W);  values : (H, W, C) in [0, 1], of the left photograph;  noise : its standard deviation
+    labels : (H, W);  values : (H, W, C) float32 in [0, 1], of the left photograph;  noise : its standard deviation
     rows : (n, COLUMNS) border points that tell the plane;  borders : (n,) which of four borders each is in
     """
     found = np.zeros(4, bool)
-    values = np.ascontiguousarray(values, np.float32)
     for border in np.unique(borders):
         part = rows[:, PART].astype(int)
         side = rows[(borders == border) & (part == np.bincount(part[borders == border]).argmax())]

@@ -185,7 +185,7 @@ class _Sight:
     regions: tuple[matching.RegionArrays, matching.RegionArrays]
     edges: tuple[Borders, Borders]
     noise: tuple[float, float]  # standard deviation of the photographs' noise
-    left_values: np.ndarray  # (H, W, C) in [0, 1]
+    colours: np.ndarray  # (H, W, C) float32 in [0, 1], of the left photograph
 
 
 def _look(pair, labels, values, left, right):
@@ -195,7 +195,14 @@ def _look(pair, labels, values, left, right):
         borders(pair, labels[0], values[0], left, "left", sigma[0]),
         borders(pair, labels[1], values[1], right, "right", sigma[1]),
     )
-    return _Sight(pair, views, (matching.regions(views[0]), matching.regions(views[1])), edges, tuple(sigma), values[0])
+    return _Sight(
+        pair,
+        views,
+        (matching.regions(views[0]), matching.regions(views[1])),
+        edges,
+        tuple(sigma),
+        np.float32(values[0]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,7 +396,7 @@ def _facet(sight, l, r, x, sigma_side):
     if covered < LEAST_OVERLAP:
         return "overlap: left does not cover right"
     doubted = covered < COVERS or junctions.go_on(
-        pair, sight.views[0].labels, sight.left_values, l, sight.noise[0], x.rows, uncertainty.borders(x)
+        pair, sight.views[0].labels, sight.colours, l, sight.noise[0], x.rows, uncertainty.borders(x)
     )
     turned = uncertainty.turned_about_the_rest(x, here, np.broadcast_to(doubted, 4))
     covariance += of_m(uncertainty.unchecked(x, sigma_side) + turned)
