@@ -4,6 +4,9 @@ A leg of a table hides part of a wall, and further down part of the floor: its e
 at which the wall ends, with the leg's colour to one side all along and another colour to the other side. Such a
 T-junction says that what goes on lies in front of both things that end at it (Guzman 1968). So the side is not the
 wall's, whatever plane agrees with it.
+
+A region may also end at its own shadow, in the same colour but darker. So greys before greys, and photographs of one
+channel, tell no junctions.
 """
 
 import numpy as np
@@ -17,8 +20,8 @@ SAME = 0.35  # of the contrast: colours that differ by less are the same
 CONTRAST = 0.3, 5.0  # an edge beyond the corner: times the contrast of the side, times the noise
 ON_LINE = 1.3  # px, the steepest place beyond the corner from the side's line
 ACROSS = np.arange(-4, 4.5, 0.5)  # px, where that place is sought
-HUE = 0.02
-GAMMA = 2.2
+GAMMA = 2.2  # of display values, roughly: only ratios of colours are asked
+HUE = 0.02  # of itself: colours that differ by less, but for their brightness, are one in more or less light
 INSIDE = 0.4  # of the places beyond the corner in the region itself: it does not end there
 
 

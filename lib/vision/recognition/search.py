@@ -40,7 +40,7 @@ def candidates(seen, db, rotations, weight, size_ok, scale_free, margin, counts)
     for k in [k for k in best_first if places.score[k] >= places.score.max() - margin][:MOST]:
         problem, c, q = places.problem[k], places.place[k, :3], places.place[k, 3]
         mine = problems.member[problems.start[problem] : problems.start[problem + 1]]
-        matches = _matches(pairs, mine, c, q)
+        matches = _matches(pairs, mine, c, q, problems.resolution[problem])
         if len(matches) >= 3:
             R = rotations[number[problem]][0]
             T = np.eye(4)
@@ -88,15 +88,16 @@ def _problems(seen, db, rotations, size_ok, scales):
     return pairs, kernels.Problems(np.concatenate(member), np.array(start), scale, reach, None), number
 
 
-def _matches(pairs, mine, c, q):
-    """(n, 2) scene facet, model facet: of the correspondences `mine` that hold at a place c and scale q.
+def _matches(pairs, mine, c, q, resolution):
+    """(n, 2) scene facet, model facet: of the correspondences `mine` that hold at a place c, to its resolution, and
+    scale q: facets that are surer than most hold somewhere in the box, hardly in its middle.
 
     Of several on one scene facet the one whose plane lies nearest.
     """
     P1, P2, low, high = pairs.P1[mine], pairs.P2[mine], pairs.low[mine], pairs.high[mine]
     scene, facet = pairs.scene[mine], pairs.facet[mine]
     x = np.einsum("cad,d->ca", pairs.A[mine], c)
-    slack = 0.4 * (P1[:, :1] - P2[:, :1]).clip(0) * q
+    slack = 0.4 * (P1[:, :1] - P2[:, :1]).clip(0) * q + resolution * np.abs(pairs.A[mine]).sum(axis=2)
     holds = ((x + q * P1 - low >= -slack) & (high - x - q * P2 >= -slack)).all(axis=1)
     gap = np.abs(x[:, 0] + q * (P1[:, 0] + P2[:, 0]) / 2 - low[:, 0])
     nearest = {}
