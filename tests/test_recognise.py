@@ -14,8 +14,9 @@ from lib.given import model as models
 from lib.given.cameras import Camera
 from lib.vision import facets_file
 from lib.vision.facets_file import SceneFacets
-from lib.vision.recognition import closed_form, rotations, symmetry
+from lib.vision.recognition import closed_form, rotations, search, symmetry
 from lib.vision.recognition import recognise as recognition
+from lib.vision.recognition.hashing_kernels import Correspondences
 from lib.vision.refinement import pose as refinement
 from lib.vision.refinement import rig as rig_
 from tests.helpers import facet_trials as trials
@@ -59,6 +60,17 @@ def test_kabsch_never_reflects():
 
 
 # The search.
+
+
+def test_a_sure_facet_holds_where_it_holds_somewhere_in_the_box():
+    """Two facets on planes x = 0, known to 1 mm and to 10 cm; the middle of the box lies 2 cm beside them."""
+    height = np.array([0.001, 0.1])
+    reach = np.column_stack([height, np.full((2, 2), 1.0)])
+    zero = np.zeros((2, 3))
+    pairs = Correspondences(np.arange(2), np.array([7, 8]), np.stack([np.eye(3)] * 2), reach, -reach, zero, zero)
+    at = lambda resolution: search._matches(pairs, np.arange(2), np.array([0.02, 0, 0]), 1.0, resolution).tolist()
+    assert at(0.0) == [[1, 8]]
+    assert at(0.03) == [[0, 7], [1, 8]]
 
 
 @pytest.mark.scene

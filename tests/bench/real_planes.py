@@ -6,31 +6,18 @@ Boards: all facets on the board joined by their covariances, against the plane t
 the share of the board that facets cover. Middlebury: disparity of the facets' pixels, px, and how many are covered.
 """
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from lib.core import artefact
 from lib.given import cameras, image
 from lib.verdict.vision_errors import disparity
-from lib.vision import creases, facets_file, matching, necks, segmentation, surfaces
-from lib.vision.facets import planes
+from lib.vision import matching
+from tests.bench.unseen_pairs import as_written, front_half
 from tests.helpers import real_boards
 
 DATA = Path(__file__).resolve().parents[2] / "data"
 ON = 0.8  # of a facet's pixels on the board: it is the board's
-
-
-def front_half(pair, pictures, values):
-    """(two label images, Reconstruction)"""
-    weight = segmentation.auto_lambda(*pictures)
-    labels = []
-    for picture in pictures:
-        joined = surfaces.surfaces(picture, segmentation.segment(picture, weight))
-        labels.append(np.ascontiguousarray(necks.cut(creases.cut(picture, joined))))
-    matches = matching.match(pair, *labels, *values)
-    return labels, planes.reconstruct(pair, labels, values, matches.left, matches.right)
 
 
 def boards():
@@ -65,11 +52,7 @@ def middlebury(scene):
     labels, found = front_half(matching.stereo(*sides), [p.values for p in pictures], matching.photographs(*pictures))
     truth = image.read_photograph(folder / "truth" / "disparity.png").values[..., 0] * 255 / 8
     true = np.where(truth > 0, truth, np.nan)
-    with tempfile.TemporaryDirectory() as out:
-        path = Path(out) / "facets.json"
-        artefact.write_json(path, facets_file.describe(found.facets, found.refused, "m"))
-        facets = facets_file.record.read(path, facets_file.Facets).facets
-    errors = {name: value for name, value, _ in disparity(facets, *sides, labels[0], true)}
+    errors = {name: value for name, value, _ in disparity(as_written(found)[1], *sides, labels[0], true)}
     return f"{scene}: " + ", ".join(f"{name.split('.')[1]} {value:.3f}" for name, value in errors.items())
 
 

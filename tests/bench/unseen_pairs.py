@@ -70,33 +70,37 @@ def pair_of(kind, name, out):
         return given, pair.full, pair.sides, pair.posed
 
 
-def front_half(sides):
-    """(sides with their surfaces, Reconstruction)"""
-    pair = matching.stereo(*(s.camera for s in sides))
-    values = matching.photographs(*(s.photograph for s in sides))
-    weight = segmentation.auto_lambda(*(s.photograph.values for s in sides))
+def front_half(pair, pictures, values):
+    """(two label images, Reconstruction) at `lambda: auto`.
+
+    pair : matching.Stereo;  pictures : two (H, W, C) in [0, 1];  values : the same as matching.photographs gives them
+    """
+    weight = segmentation.auto_lambda(*pictures)
     labels = []
-    for side in sides:
-        picture = side.photograph.values
+    for picture in pictures:
         joined = surfaces.surfaces(picture, segmentation.segment(picture, weight))
         labels.append(np.ascontiguousarray(necks.cut(creases.cut(picture, joined))))
     matches = matching.match(pair, *labels, *values)
-    found = planes.reconstruct(pair, labels, values, matches.left, matches.right)
-    return [rig.Side(s.camera, s.photograph, x) for s, x in zip(sides, labels, strict=True)], found
+    return labels, planes.reconstruct(pair, labels, values, matches.left, matches.right)
+
+
+def as_written(found):
+    """(SceneFacets, [Facet]) of a Reconstruction, as the next stages and the comparison read them."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "facets.json"
+        artefact.write_json(path, facets_file.describe(found.facets, found.refused, "m"))
+        return facets_file.read_scene(path), facets_file.record.read(path, facets_file.Facets).facets
 
 
 def measured(kind, name, out):
     """One pair: a row as a dict."""
     given, full, sides, posed = pair_of(kind, name, out)
     begin = time.process_time()
-    sides, found = front_half(sides)
+    of_both = matching.stereo(*(s.camera for s in sides)), [s.photograph.values for s in sides]
+    labels, found = front_half(*of_both, matching.photographs(*(s.photograph for s in sides)))
+    sides = [rig.Side(s.camera, s.photograph, x) for s, x in zip(sides, labels, strict=True)]
     row = {"kind": kind, "name": str(name), "cpu_facets_s": time.process_time() - begin}
-    content = facets_file.describe(found.facets, found.refused, "m")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "facets.json"
-        artefact.write_json(path, content)
-        scene = facets_file.read_scene(path)
-        facets = facets_file.record.read(path, facets_file.Facets).facets
+    scene, facets = as_written(found)
     told = answer.answer(scene, given, sides)
     row |= {"cpu_s": time.process_time() - begin, "why": told.why, "status": told.result and told.result.status}
     index = index_buffer.draw(full, posed)
