@@ -41,11 +41,12 @@ def main(opt):
             from lib.vision import matching
             from lib.vision.matches import write_matches
         with report.timing("read"):
-            pair, values, labels = matching.read_pair(
+            pair, taken, labels = matching.read_pair(
                 (opt.camera, opt.camera_right),
                 (opt.photograph, opt.photograph_right),
                 (opt.surfaces, opt.surfaces_right),
             )
+            values = matching.photographs(*taken)
         with report.timing("match"):
             matches = matching.match(pair, *labels, *values, similarity=opt.similarity, smallest=opt.smallest)
 

@@ -44,9 +44,10 @@ def main(opt):
             sides["right"] = of_right
         found = {}
         for side, (photograph, regions, _) in sides.items():
-            picture, labels = label_files.read_beside(photograph, regions)
+            taken, labels = label_files.read_beside(photograph, regions)
+            picture = taken.display
             with report.timing("surfaces"):
-                joined = surfaces.surfaces(picture, labels)
+                joined = surfaces.surfaces(picture, labels, compressed=taken.blocks is not None)
             with report.timing("creases"):
                 bent = creases.cut(picture, joined)
             with report.timing("necks"):

@@ -51,6 +51,11 @@ class Photograph:
         return display_of_linear(self.values) if self.linear else self.values
 
     @property
+    def ringing(self) -> float:
+        """Standard deviation of what JPEG adds to a pixel at an edge (display); 0 of other files."""
+        return self.blocks.edge_noise if self.blocks else 0.0
+
+    @property
     def black(self) -> np.ndarray:
         """(H, W) bool: no light, or so little that a displayed value says nothing of it."""
         return (self.values <= (0 if self.linear else BLACK)).all(axis=2)

@@ -12,9 +12,9 @@ MOST = 65535  # labels that 16 bits hold
 
 
 def read_beside(photograph, path):
-    """(H, W, C) display values of a photograph, (H, W) labels. BadInput where their sizes differ."""
-    picture, labels = image.read_photograph(photograph).display, image.read_labels(path)
-    (height, width), (H, W) = labels.shape, picture.shape[:2]
+    """(Photograph, (H, W) labels). BadInput where their sizes differ."""
+    picture, labels = image.read_photograph(photograph), image.read_labels(path)
+    (height, width), (H, W) = labels.shape, picture.values.shape[:2]
     if (height, width) != (H, W):
         raise BadInput(f"{path}: size: {width} x {height} is not the photograph's {W} x {H} ({photograph})")
     return picture, labels

@@ -306,7 +306,7 @@ def photographs(left: image.Photograph, right: image.Photograph) -> list[np.ndar
 
 
 def read_pair(camera_paths, photograph_paths, label_paths):
-    """(Stereo, two photographs (H, W, C), two label images (H, W)) of a stage's options, left and right.
+    """(Stereo, two Photographs, two label images (H, W)) of a stage's options, left and right.
 
     BadInput where the sizes disagree or there is no baseline.
     """
@@ -324,7 +324,7 @@ def read_pair(camera_paths, photograph_paths, label_paths):
         raise BadInput(
             f"{right}: extrinsics: {error} as in {left}: without a baseline nothing can be known of depth"
         ) from None
-    return pair, photographs(*photograph), labels
+    return pair, photograph, labels
 
 
 def share(labels, chosen) -> float:

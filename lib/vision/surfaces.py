@@ -6,6 +6,10 @@ pixels of both sides are fitted by a common gradient and a step between them (le
 with the fewest steps first, while less than a quarter of their border shows one, or less than half of it and none on
 average: a border lies where the noise happens to step, so some of its windows pass.
 
+Borders lie where the noise steps most, and the more so the more of it neighbours share, as JPEG's do. So steps are
+measured on a grid that knows nothing of the picture too: what those spread is noise, and a small step counts only far
+above it. Texture is also shared, and is no noise: a picture that is no JPEG has that rule where its noise is white.
+
 A region that spans two planes draws them together. At the lambda of noise alone (segmentation.auto_lambda) there are
 fewest of those, and merging takes away what it cuts too much: tests/bench, surfaces.
 """
@@ -19,39 +23,70 @@ from lib.vision.segmentation import noise
 
 WINDOW = 14  # px along a border
 SURE = 4.0  # standard deviations of a step that counts
+SURE_SMALL, CLEAR = 8.0, 0.04  # and of one below so much (display), in those of steps that are noise
+CELL = 20  # px: side of the grid's squares
+WHITE = 1.2  # spread of their steps that white noise does not exceed
+FEWEST = 30  # windows that tell of it
+NOTHING = 1e-9  # display: the sums' rounding
 TIMES_RAMP, TIMES_NOISE, LEAST = 2.5, 0.6, 0.006  # and its size: change per px of the ramp, noise, display
 SHARE = 0.25  # of a border that may show a step where the neighbours merge
 SHORTEST = 8  # px of a border that says anything
 UNSEEN = 2  # px with a step that every border is given: long borders without one go before short ones
 
 
-def surfaces(picture, labels) -> np.ndarray:
+def surfaces(picture, labels, compressed=False) -> np.ndarray:
     """(H, W) int32: each pixel's surface, by the smallest label of its regions (data/SCENE.md, section 4).
 
-    picture : (H, W, C) in [0, 1];  labels : (H, W) of its regions, from 1
+    picture : (H, W, C) in [0, 1];  labels : (H, W) of its regions, from 1;  compressed : it was a JPEG
     """
     f = np.ascontiguousarray(picture, np.float64)
     labels = np.ascontiguousarray(labels, np.int64)
-    return _merged(_borders(f, labels), int(labels.max()))[labels]
+    return _merged(_borders(f, labels, compressed), int(labels.max()))[labels]
 
 
-def _borders(f, labels):
+def _borders(f, labels, compressed):
     """{(a, b): (2 + 2 C,)} of the border between neighbours a < b: its px, those with a step, and the sums over px of
     the steps from a to b and of what would count as one."""
-    rows = kernels.borders(labels, WINDOW)
-    rows = rows[np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))]
-    first = np.flatnonzero((np.diff(rows[:, :3], axis=0, prepend=-1) != 0).any(axis=1))
-    count = np.diff(np.append(first, len(rows)))
+    rows, first, count = _windows(labels)
     step, sigma, ramp = kernels.steps(f, labels, rows, first, count).transpose(1, 0, 2)
     least = np.maximum(np.maximum(TIMES_RAMP * ramp, TIMES_NOISE * noise(f)), LEAST)
+    sure = SURE * sigma
+    spread = noise_of_steps(f)
+    if compressed or (spread < WHITE).all():
+        sure = np.maximum(sure, np.minimum(SURE_SMALL * spread * sigma, CLEAR))
     known = np.isfinite(step).all(axis=1)[:, None]
-    is_step = ~known[:, 0] | ((np.abs(step) > SURE * sigma) & (np.abs(step) > least)).any(axis=1)
+    is_step = ~known[:, 0] | ((np.abs(step) > sure) & (np.abs(step) > least)).any(axis=1)
     sums = np.column_stack([np.ones(len(step)), is_step, np.where(known, step, 0), np.where(known, least, 0)])
     sums *= count[:, None]
     found = {}
     for (a, b), window in zip(rows[first, :2].tolist(), sums, strict=True):
         found[a, b] = found.get((a, b), 0) + window
     return found
+
+
+def _windows(labels):
+    """(rows, first, count) for kernels.steps: the pairs of pixels of all borders, and where each window's begin."""
+    rows = kernels.borders(labels, WINDOW)
+    rows = rows[np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))]
+    first = np.flatnonzero((np.diff(rows[:, :3], axis=0, prepend=-1) != 0).any(axis=1))
+    return rows, first, np.diff(np.append(first, len(rows)))
+
+
+def noise_of_steps(f) -> np.ndarray:
+    """(C,) spread of steps that are noise, in the standard deviations that white noise would give them: at least 1.
+
+    Their borders are the sides of a grid's squares, so few meet an edge. White noise spreads them 1.0 to 1.1, JPEG 1.2
+    (quality 100), 1.3 (95), 1.6 (90) to 2.5 (75).
+    """
+    y, x = np.indices(f.shape[:2]) // CELL
+    grid = (1 + y * (x.max() + 1) + x).astype(np.int64)
+    step, sigma, _ = kernels.steps(f, grid, *_windows(grid)).transpose(1, 0, 2)
+    told = np.isfinite(sigma).all(axis=1)
+    if told.sum() < FEWEST:
+        return np.ones(f.shape[2])
+    step, sigma = np.abs(step[told]), sigma[told]
+    in_sigma = np.divide(step, sigma, out=np.zeros_like(step), where=sigma > NOTHING)  # one value, black or white
+    return np.maximum(np.median(in_sigma, axis=0) / 0.6745, 1)
 
 
 def _share(border) -> float:

@@ -24,7 +24,7 @@ def boards():
     """Lines of text."""
     rows = []
     for x in real_boards.board_pairs():
-        labels, found = front_half(x.pair, x.values, x.values)
+        labels, found = front_half(x.pair, [image.Photograph(v, 8, False, v.shape[2]) for v in x.values])
         board = x.labels[0] == 2
         share = lambda f, labels=labels, board=board: board[labels[0] == f.left_label].mean()
         mine = [f for f in found.facets if share(f) > ON]
@@ -49,7 +49,7 @@ def middlebury(scene):
     folder = DATA / scene
     sides = [cameras.read_cameramodel(folder / f"{s}.cameramodel") for s in ("left", "right")]
     pictures = [image.read_photograph(folder / f"{s}.png") for s in ("left", "right")]
-    labels, found = front_half(matching.stereo(*sides), [p.values for p in pictures], matching.photographs(*pictures))
+    labels, found = front_half(matching.stereo(*sides), pictures)
     truth = image.read_photograph(folder / "truth" / "disparity.png").values[..., 0] * 255 / 8
     true = np.where(truth > 0, truth, np.nan)
     errors = {name: value for name, value, _ in disparity(as_written(found)[1], *sides, labels[0], true)}

@@ -23,11 +23,12 @@ import time
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+import cv2  # noqa: E402
 import numpy as np  # noqa: E402  after the number of threads
 
 from lib.buffers import index_buffer  # noqa: E402
 from lib.core import artefact  # noqa: E402
-from lib.given import cameras  # noqa: E402
+from lib.given import cameras, image  # noqa: E402
 from lib.given import model as models  # noqa: E402
 from lib.verdict.vision_errors import CHI2_3, CHI2_3_999, facet_errors  # noqa: E402
 from lib.vision import creases, facets_file, matching, necks, segmentation, surfaces  # noqa: E402
@@ -70,18 +71,18 @@ def pair_of(kind, name, out):
         return given, pair.full, pair.sides, pair.posed
 
 
-def front_half(pair, pictures, values):
-    """(two label images, Reconstruction) at `lambda: auto`.
-
-    pair : matching.Stereo;  pictures : two (H, W, C) in [0, 1];  values : the same as matching.photographs gives them
-    """
+def front_half(pair, photographs):
+    """(two label images, Reconstruction) of two Photographs at `lambda: auto`. pair : matching.Stereo"""
+    pictures, values = [x.display for x in photographs], matching.photographs(*photographs)
     weight = segmentation.auto_lambda(*pictures)
     labels = []
-    for picture in pictures:
-        joined = surfaces.surfaces(picture, segmentation.segment(picture, weight))
+    for photograph, picture in zip(photographs, pictures, strict=True):
+        regions = segmentation.segment(picture, weight)
+        joined = surfaces.surfaces(picture, regions, compressed=photograph.blocks is not None)
         labels.append(np.ascontiguousarray(necks.cut(creases.cut(picture, joined))))
     matches = matching.match(pair, *labels, *values)
-    return labels, planes.reconstruct(pair, labels, values, matches.left, matches.right)
+    ringing = [x.ringing for x in photographs]
+    return labels, planes.reconstruct(pair, labels, values, matches.left, matches.right, ringing=ringing)
 
 
 def as_written(found):
@@ -92,12 +93,22 @@ def as_written(found):
         return facets_file.read_scene(path), facets_file.record.read(path, facets_file.Facets).facets
 
 
-def measured(kind, name, out):
+def as_jpeg(photograph, quality):
+    """The Photograph as a stage reads it where it was stored as a JPEG, its chroma halved."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "photograph.jpg"
+        stored = np.round(255 * photograph.values).astype(np.uint8)[..., ::-1]
+        cv2.imwrite(str(path), stored, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        return image.read_photograph(str(path))
+
+
+def measured(kind, name, out, jpeg):
     """One pair: a row as a dict."""
     given, full, sides, posed = pair_of(kind, name, out)
+    if jpeg:
+        sides = [rig.Side(s.camera, as_jpeg(s.photograph, jpeg)) for s in sides]
     begin = time.process_time()
-    of_both = matching.stereo(*(s.camera for s in sides)), [s.photograph.values for s in sides]
-    labels, found = front_half(*of_both, matching.photographs(*(s.photograph for s in sides)))
+    labels, found = front_half(matching.stereo(*(s.camera for s in sides)), [s.photograph for s in sides])
     sides = [rig.Side(s.camera, s.photograph, x) for s, x in zip(sides, labels, strict=True)]
     row = {"kind": kind, "name": str(name), "cpu_facets_s": time.process_time() - begin}
     scene, facets = as_written(found)
@@ -195,6 +206,7 @@ def main():
     parser.add_argument("--rooms", nargs="+", default=[], metavar="pair-SEED")
     for kind in ("cast", "objects", "wrong"):
         parser.add_argument(f"--{kind}", type=_numbers, default=[], metavar="FIRST:END", help="seeds")
+    parser.add_argument("--jpeg", type=int, metavar="QUALITY", help="the photographs were stored as JPEGs")
     opt = parser.parse_args()
     out = opt.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
@@ -208,7 +220,7 @@ def main():
         for name in getattr(opt, kind):
             if (kind, str(name)) in done:
                 continue
-            row = measured(kind, name, out)
+            row = measured(kind, name, out, opt.jpeg)
             rows.append(row)
             with open(log, "a") as file:
                 file.write(json.dumps(row) + "\n")

@@ -35,6 +35,7 @@ COVERS = 0.92  # mutual overlap from which both regions are one thing
 LEAST_ROWS = 6  # ends of rows, for a plane to start from
 LEAST_SIDES = 0.1  # share of its straight sides that must agree with a plane, less those behind it
 THIN = 5.0  # px: of thinner regions both borders lie in one blur
+COARSE = 0.02  # of white: what JPEG may add at edges until facets' sigmas are too small
 LOOSE = np.radians(4)  # sigma of the tilt from which a facet is marked: it says where a plane is, hardly how it lies
 NEAR_PX, BLURRED_PX = 3, 6  # of borders: nearer, texture is not measured, and the borders' blur is taken for texture
 ALIKE = 0.8, 1.25  # of the left photograph's slopes the right one must show under a dense plane
@@ -109,6 +110,7 @@ def reconstruct(
     left,
     right,
     *,
+    ringing=(0.0, 0.0),
     method: str = "least-squares",
     iterations: int = 30,
     intensities: bool = True,
@@ -118,6 +120,7 @@ def reconstruct(
     """The planes of the pairs of regions (left[k], right[k]).
 
     labels : two (H, W) int;  values : two (H, W, C) in [0, 1]
+    ringing : standard deviation of what JPEG adds to the two photographs' pixels at edges (image.Photograph.ringing)
     method : of METHODS; "overlap" looks at the regions' whole pixels alone
     iterations : of the contours' fits, at most;  intensities : also measure the texture inside
     progress : called with the share of the work that is done
@@ -127,7 +130,7 @@ def reconstruct(
     """
     progress = progress or (lambda share: None)
     trace = trace or (lambda step, planes, apart: None)
-    sight = _look(pair, labels, values, left, right)
+    sight = _look(pair, labels, values, left, right, ringing)
     fits = [_start(sight, int(l), int(r)) for l, r in zip(left, right, strict=True)]
     _trace_fits(trace, "outline", sight, fits)
     borders_alone = not intensities or method == "overlap"
@@ -188,12 +191,13 @@ class _Sight:
     colours: np.ndarray  # (H, W, C) float32 in [0, 1], of the left photograph
 
 
-def _look(pair, labels, values, left, right):
+def _look(pair, labels, values, left, right, ringing):
     views = matching.views(pair, labels, values)
     sigma = [noise(v, x) for v, x in zip(values, labels, strict=True)]
+    at_edges = np.hypot(sigma, ringing)
     edges = (
-        borders(pair, labels[0], values[0], left, "left", sigma[0]),
-        borders(pair, labels[1], values[1], right, "right", sigma[1]),
+        borders(pair, labels[0], values[0], left, "left", at_edges[0]),
+        borders(pair, labels[1], values[1], right, "right", at_edges[1]),
     )
     return _Sight(
         pair,
