@@ -6,9 +6,9 @@ pixels of both sides are fitted by a common gradient and a step between them (le
 with the fewest steps first, while less than a quarter of their border shows one, or less than half of it and none on
 average: a border lies where the noise happens to step, so some of its windows pass.
 
-Borders lie where the noise steps most, and the more so the more of it neighbours share, as JPEG's do. So steps are
-measured on a grid that knows nothing of the picture too: what those spread is noise, and a small step counts only far
-above it. Texture is also shared, and is no noise: a picture that is no JPEG has that rule where its noise is white.
+Borders lie where the noise steps most, and the more so the more of it neighbours share, as JPEG's do. So steps of a
+JPEG are measured on a grid that knows nothing of the picture too: what those spread is noise, and a small step counts
+only far above it. (In pictures without JPEG that joins walls that meet in a faint edge: docs/design.md, JPEG.)
 
 A region that spans two planes draws them together. At the lambda of noise alone (segmentation.auto_lambda) there are
 fewest of those, and merging takes away what it cuts too much: tests/bench, surfaces.
@@ -23,9 +23,8 @@ from lib.vision.segmentation import noise
 
 WINDOW = 14  # px along a border
 SURE = 4.0  # standard deviations of a step that counts
-SURE_SMALL, CLEAR = 8.0, 0.04  # and of one below so much (display), in those of steps that are noise
+SURE_SMALL, CLEAR = 8.0, 0.04  # in a JPEG, of one below so much (display), in those of steps that are noise
 CELL = 20  # px: side of the grid's squares
-WHITE = 1.2  # spread of their steps that white noise does not exceed
 FEWEST = 30  # windows that tell of it
 NOTHING = 1e-9  # display: the sums' rounding
 TIMES_RAMP, TIMES_NOISE, LEAST = 2.5, 0.6, 0.006  # and its size: change per px of the ramp, noise, display
@@ -51,9 +50,8 @@ def _borders(f, labels, compressed):
     step, sigma, ramp = kernels.steps(f, labels, rows, first, count).transpose(1, 0, 2)
     least = np.maximum(np.maximum(TIMES_RAMP * ramp, TIMES_NOISE * noise(f)), LEAST)
     sure = SURE * sigma
-    spread = noise_of_steps(f)
-    if compressed or (spread < WHITE).all():
-        sure = np.maximum(sure, np.minimum(SURE_SMALL * spread * sigma, CLEAR))
+    if compressed:
+        sure = np.maximum(sure, np.minimum(SURE_SMALL * noise_of_steps(f) * sigma, CLEAR))
     known = np.isfinite(step).all(axis=1)[:, None]
     is_step = ~known[:, 0] | ((np.abs(step) > sure) & (np.abs(step) > least)).any(axis=1)
     sums = np.column_stack([np.ones(len(step)), is_step, np.where(known, step, 0), np.where(known, least, 0)])
