@@ -27,7 +27,7 @@ from lib.vision.facets import (
 from lib.vision.facets import contours_kernels as kernels
 from lib.vision.facets import planes as facets
 from lib.vision.facets.contours_kernels import Border
-from tests.helpers import pairs, real_boards
+from tests.helpers import jpegs, pairs, real_boards
 from tests.helpers.pairs import parallel
 
 DATA = Path(__file__).resolve().parents[1] / "data"
@@ -193,6 +193,27 @@ def test_a_side_that_nothing_checks_is_less_sure():
     covariance = np.linalg.inv(uncertainty.with_sides(x, sigma).A)
     wider = np.linalg.eigvals(np.linalg.solve(covariance, uncertainty.unchecked(x, sigma))).real
     assert wider.max() < 0.5
+
+
+@pytest.mark.scene
+@pytest.mark.parametrize(("quality", "least"), [(95, 0.93), (75, 0.9)])
+def test_coverage_in_jpegs(quality, least):
+    """Exact quadrilaterals, stored as JPEGs: borders are as unsure as what rings beside them (75: .89 without)."""
+    inside = []
+    for seed in range(24):
+        Q = pairs.quads(seed)
+        taken = [jpegs.stored(v, quality) for v in Q.noisy((0.003, 0.01)[seed % 2], np.random.default_rng(seed))]
+        both = np.intersect1d(*[np.unique(x) for x in Q.labels])
+        found, _, _ = facets.reconstruct(
+            matching.stereo(Q.left, Q.right),
+            Q.labels,
+            matching.photographs(*taken),
+            both,
+            both,
+            ringing=[x.ringing for x in taken],
+        )
+        inside += [chi2(x, Q.m[x.left_label]) < CHI2_95 for x in found if x.left_label < 7]
+    assert len(inside) > 130 and least <= np.mean(inside) <= 0.99
 
 
 def test_upright_sides_may_be_off_farther_than_level_ones():
@@ -794,6 +815,21 @@ def test_stage_refuses(refuses, pair_files, files_under, tmp_path):  # noqa: F81
     (tmp_path / "matches.csv").write_text("left_label,right_label,similarity\n1,1,0.9\n")
     (line,) = refuses("stages/reconstruct.py", *words)
     assert "same centre" in line
+
+
+@pytest.mark.parametrize(("quality", "warned"), [(95, 0), (85, 2)])
+def test_stage_warns_of_strong_jpegs(run, pair_files, tmp_path, quality, warned):
+    Q = pairs.quads(2)
+    words = [*pair_files(Q), "--matches", tmp_path / "matches.csv"]
+    for side, values in zip(("left", "right"), Q.noisy(0.01, np.random.default_rng(0)), strict=True):
+        jpegs.write(tmp_path / f"{side}.jpg", values, quality)
+    words = [w.with_suffix(".jpg") if w in (tmp_path / "left.png", tmp_path / "right.png") else w for w in words]
+    assert run("stages/match.py", *words).returncode == 0
+    names = {"facets": "facets.json", "mesh": "facets.ply", "report": "r.json"}
+    words += [w for option, name in names.items() for w in (f"--{option}", tmp_path / name)]
+    assert run("stages/reconstruct.py", *words).returncode == 0
+    warnings = json.loads((tmp_path / "r.json").read_text())["warnings"]
+    assert len(warnings) == warned and all("of white at edges" in w for w in warnings)
 
 
 def test_stage_traces_pairs_that_give_no_plane(run, pair_files, tmp_path):

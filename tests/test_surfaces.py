@@ -2,13 +2,13 @@
 
 import json
 
-import cv2
 import numpy as np
 import pytest
 
 from lib.given import image
 from lib.vision import creases, necks, segmentation
 from lib.vision.surfaces import noise_of_steps, surfaces
+from tests.helpers import jpegs
 
 H, W = 90, 120
 Y, X = np.mgrid[:H, :W]
@@ -56,16 +56,11 @@ def test_a_step_stays(step):
     assert largest(left) > 0.98 and largest(right) > 0.98 and not np.isin(left, right).any()
 
 
-def as_jpeg(seen, quality):
-    stored = np.round(255 * seen).clip(0, 255).astype(np.uint8)
-    return cv2.imdecode(cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], 1) / 255
-
-
 @pytest.mark.parametrize(("quality", "spread"), [(None, 1.0), (100, 1.2), (95, 1.35), (75, 2.5)])
 def test_what_steps_of_noise_spread(quality, spread):
     seen = picture(np.full((400, 400), 0.5), noise=0.01)
     if quality:
-        seen = as_jpeg(seen, quality)
+        seen = jpegs.stored(seen, quality).values
     assert noise_of_steps(seen) == pytest.approx(spread, rel=0.2)
     assert (noise_of_steps(np.full((400, 400, 3), 0.5)) == 1).all()  # one value has no noise
 
@@ -73,7 +68,7 @@ def test_what_steps_of_noise_spread(quality, spread):
 def test_blotches_of_jpeg_are_no_borders():
     y, x = np.mgrid[:240, :320]
     light = 0.3 + 0.4 * np.exp(-((x - 100) ** 2 + (y - 130) ** 2) / 60000)
-    seen = as_jpeg(picture(light, noise=0.01), 95)
+    seen = jpegs.stored(picture(light, noise=0.01), 95).values
     regions = segmentation.segment(seen, segmentation.auto_lambda(seen))
     assert largest(surfaces(seen, regions, compressed=True)) > 0.95 > 0.6 > largest(surfaces(seen, regions))
 

@@ -23,12 +23,11 @@ import time
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-import cv2  # noqa: E402
 import numpy as np  # noqa: E402  after the number of threads
 
 from lib.buffers import index_buffer  # noqa: E402
 from lib.core import artefact  # noqa: E402
-from lib.given import cameras, image  # noqa: E402
+from lib.given import cameras  # noqa: E402
 from lib.given import model as models  # noqa: E402
 from lib.verdict.vision_errors import CHI2_3, CHI2_3_999, facet_errors  # noqa: E402
 from lib.vision import creases, facets_file, matching, necks, segmentation, surfaces  # noqa: E402
@@ -36,7 +35,7 @@ from lib.vision.corners import answer  # noqa: E402
 from lib.vision.facets import planes  # noqa: E402
 from lib.vision.recognition import recognise  # noqa: E402
 from lib.vision.refinement import rig  # noqa: E402
-from tests.helpers import cast_rooms, objects  # noqa: E402
+from tests.helpers import cast_rooms, jpegs, objects  # noqa: E402
 from tests.helpers.facet_trials import pose_error  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,20 +92,11 @@ def as_written(found):
         return facets_file.read_scene(path), facets_file.record.read(path, facets_file.Facets).facets
 
 
-def as_jpeg(photograph, quality):
-    """The Photograph as a stage reads it where it was stored as a JPEG, its chroma halved."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "photograph.jpg"
-        stored = np.round(255 * photograph.values).astype(np.uint8)[..., ::-1]
-        cv2.imwrite(str(path), stored, [cv2.IMWRITE_JPEG_QUALITY, quality])
-        return image.read_photograph(str(path))
-
-
 def measured(kind, name, out, jpeg):
     """One pair: a row as a dict."""
     given, full, sides, posed = pair_of(kind, name, out)
     if jpeg:
-        sides = [rig.Side(s.camera, as_jpeg(s.photograph, jpeg)) for s in sides]
+        sides = [rig.Side(s.camera, jpegs.stored(s.photograph.values, jpeg)) for s in sides]
     begin = time.process_time()
     labels, found = front_half(matching.stereo(*(s.camera for s in sides)), [s.photograph for s in sides])
     sides = [rig.Side(s.camera, s.photograph, x) for s, x in zip(sides, labels, strict=True)]
