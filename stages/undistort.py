@@ -1,15 +1,17 @@
 #!/usr/bin/env python3
-"""§2 A photograph made pinhole: the same size and pose, 16 bit, without the lens's distortion.
+"""§2 A photograph made pinhole: the same pose, 16 bit, without the lens's distortion; a large one smaller.
 
     $ stages/undistort.py --photograph left.png --lens-camera left.cameramodel \
           --pinhole left.pinhole.png --camera left.pinhole.cameramodel --report undistort.report.json
 
 reads   photograph    of any kind
         lens_camera   its camera, any lens of mrcal
-writes  pinhole       .png, 16 bit, display values; .exr, light, where the photograph is
+writes  pinhole       .png, 16 bit, display values; .exr, light, where the photograph is. Of more megapixels than told
+                      k x k pixels become their mean, k as small as will do
         camera        the pinhole: the lens's own focal lengths, or longer so that no pixel is without data
 """
 
+import math
 import sys
 from pathlib import Path
 
@@ -18,7 +20,9 @@ from lib.core import stage
 
 
 def options():
-    return stage.parser(__doc__, reads="photograph lens_camera", writes="pinhole camera")
+    parser = stage.parser(__doc__, reads="photograph lens_camera", writes="pinhole camera")
+    parser.add_argument("--megapixels", type=stage.real(0), default=6.0, help="that are kept at most")
+    return parser
 
 
 def main(opt):
@@ -31,17 +35,24 @@ def main(opt):
             import scipy.ndimage  # noqa: F401
 
             from lib.core import artefact
-            from lib.given import cameras, image, lenses, view
+            from lib.given import cameras, image, lenses, reduced, view
 
         photograph = image.read_photograph(opt.photograph)
-        lens = lenses.read(opt.lens_camera)
-        if problem := view.size_problem(opt.photograph, photograph.values, lens, opt.lens_camera):
+        lens, values = lenses.read(opt.lens_camera), photograph.values
+        if problem := view.size_problem(opt.photograph, values, lens, opt.lens_camera):
             raise stage.BadInput(problem)
         with report.timing("camera"):
             camera, share = lenses.pinhole(lens)
+        if (k := reduced.times((lens.width, lens.height), opt.megapixels)) > 1:
+            values, whole, camera = reduced.picture(values, k), camera, reduced.pinhole(camera, k)
+            all_of_it = f"{{undistort: {{megapixels: {math.ceil(whole.width * whole.height / 1e6)}}}}}"
+            report.warning(
+                f"{opt.photograph}: {whole.width} x {whole.height} px are analysed and rendered at {camera.width} x "
+                f"{camera.height}, for memory and time (params: {all_of_it} keeps all: half a GB for each)"
+            )
         with report.timing("resample"):
-            values = lenses.resample(photograph.values, lens, camera)
-        report["focal_factor"] = camera.K[0, 0] / lens.intrinsics[0]
+            values = values if lens.model == "LENSMODEL_PINHOLE" else lenses.resample(values, lens, camera, k)
+        report["focal_factor"] = k * camera.K[0, 0] / lens.intrinsics[0]
         report["share_kept"] = share
         if share < 0.5:
             report.warning(

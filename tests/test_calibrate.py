@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 
@@ -628,6 +629,30 @@ def test_undistorted_is_what_a_pinhole_sees(run, tmp_path, suffix):
     if suffix == ".exr":
         assert seen.values.max() > 2
     assert np.sqrt(((values - expected) ** 2).mean()) < 0.02 and np.median(np.abs(values - expected)) < 0.003
+
+
+@pytest.mark.scene
+@pytest.mark.parametrize("kind", ["LENSMODEL_OPENCV8", "LENSMODEL_PINHOLE"])
+def test_a_large_photograph_becomes_its_means(run, tmp_path, kind):
+    """Half as large: the means of 2 x 2 pixels of what comes out at full size, and the same rays."""
+    lens = made(kind, path="a")
+    T = cameras.matrix_from_rt([0.4, 0.5, 0.1, 0, 0, 0.45])
+    grey = chessboards.render(lens, T, np.random.default_rng(0), noise=0)
+    image.write_png8(tmp_path / "left.png", cv2.GaussianBlur(grey, (0, 0), 2))
+    write(tmp_path / "left.cameramodel", lens)
+    seen, camera = {}, {}
+    for most in 6, 0.1:
+        out = [tmp_path / f"{most}.png", tmp_path / f"{most}.cameramodel", tmp_path / f"{most}.json"]
+        words = ["--photograph", tmp_path / "left.png", "--lens-camera", tmp_path / "left.cameramodel"]
+        words += ["--pinhole", out[0], "--camera", out[1], "--report", out[2], "--megapixels", most]
+        result = run("stages/undistort.py", *words)
+        assert result.returncode == 0, result.stderr
+        assert ("are analysed and rendered at 320 x 240" in result.stderr) == (most < 6)
+        seen[most], camera[most] = image.read_photograph(out[0]).values, cameras.read_cameramodel(out[1])
+    assert seen[0.1].shape == (240, 320, 1)
+    assert np.abs(seen[0.1] - seen[6].reshape(240, 2, 320, 2, 1).mean(axis=(1, 3))).max() < 0.004
+    q = np.array([[0.0, 0], [50, 70], [639, 479]])
+    np.testing.assert_allclose(camera[0.1].directions((q + 0.5) / 2 - 0.5), camera[6].directions(q), atol=1e-12)
 
 
 @pytest.mark.scene

@@ -11,6 +11,7 @@ import pytest
 
 from lib.core.stage import BadInput
 from lib.given import cameras, foreign_cameras, fspy
+from tests.helpers import consumers
 
 ROOM = np.random.default_rng(4).uniform((0.5, 0.5, 0), (3.5, 3.0, 2.4), (60, 3))
 SIZES = [(640, 480), (480, 640), (1001, 333)]
@@ -20,8 +21,8 @@ def pose():
     return cameras.towards((0.2, -2.5, 1.4), (2.1, 2.0, 1.1))
 
 
-def close(found, p, q):
-    assert np.abs(found.project(p) - q).max() < 1e-6
+def close(found, p, q, px=1e-6):
+    assert np.abs(found.project(p) - q).max() < px
 
 
 # ---- COLMAP ----
@@ -233,6 +234,15 @@ def test_blender(tmp_path, monkeypatch, root, size, fit, aspect):
     up = data.lens * y / -z - data.shift_y * sensor
     q = np.stack([(across / (width * mm) + 0.5) * size[0], (0.5 - up / (height * mm)) * size[1]], 1) - 0.5
     close(foreign_cameras.read(path, size), ROOM, q)
+
+
+@pytest.mark.outside
+def test_blender_itself(tmp_path):
+    """Against the projection that Blender renders with, to what its single precision leaves."""
+    if why := consumers.absent("bpy"):
+        pytest.skip(why)
+    for file, size, p, q in consumers.ask("blender_cameras", tmp_path):
+        close(foreign_cameras.read(file, tuple(size)), np.array(p), np.array(q), px=5e-4)
 
 
 # ---- OpenCV ----

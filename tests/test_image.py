@@ -7,6 +7,7 @@ import pytest
 from lib.buffers.trust import in_blocks
 from lib.core.stage import BadInput
 from lib.given import image
+from lib.planning import files
 
 RNG = np.random.default_rng(0)
 COLOUR8 = RNG.integers(0, 256, (13, 17, 3), dtype=np.uint8)
@@ -185,3 +186,21 @@ def test_the_orientation_of_exif_is_honoured(tmp_path, turn):
     edges[y, x] = True
     held = in_blocks(edges, photograph.blocks)
     assert held[y : y + 8, x : x + 8].all() and held.sum() == 64
+
+
+@pytest.mark.parametrize("ending", ["png", "jpg", "tif", "exr"])
+def test_a_header_tells_how_many_pixels_there_are(tmp_path, ending):
+    path, values = tmp_path / f"a.{ending}", np.full((30, 50, 3), 100, np.uint8)
+    image.write_exr(path, values / 255.0) if ending == "exr" else cv2.imwrite(str(path), values)
+    assert files.pixels(path) == 1500
+    path.write_bytes(path.read_bytes()[:10])
+    assert files.pixels(path) is None and files.pixels(tmp_path / "b.png") is None
+
+
+def test_an_even_picture_of_labels_is_large_and_no_photograph(tmp_path):
+    """One facet over 13 megapixels."""
+    labels = np.ones((3200, 4100), np.uint16)
+    image.write_labels(tmp_path / "facet.png", labels)
+    assert np.array_equal(image.read_labels(tmp_path / "facet.png"), labels)
+    with pytest.raises(BadInput, match="no photograph"):
+        image.read_photograph(tmp_path / "facet.png")

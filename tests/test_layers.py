@@ -63,6 +63,7 @@ LATE = {
     ("lib.planning.folder", "lib.given.materials"): "NumPy, as the lines below",
     ("lib.planning.doctor", "numpy"): "the doctor must run where nothing is installed",
     ("lib.planning.files", "lib.given.lenses"): "NumPy again: only for a pair of given cameras",
+    ("lib.planning.files", "lib.given.image"): "NumPy again: only for photographs that are no PNG",
     ("lib.planning.folder", "lib.given.image"): "NumPy again: given files are opened only when they are new",
     ("lib.planning.folder", "lib.given.lenses"): "the same",
     ("lib.planning.folder", "lib.given.model"): "the same",

@@ -7,11 +7,12 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from lib.core.stage import BadInput
-from lib.given import cameras, image
+from lib.given import cameras, image, reduced
 from lib.given import model as models
 from lib.given import picks as picks_
 from lib.given.cameras import Camera, matrix_from_rt
@@ -48,7 +49,8 @@ def picked_from(rng, seen, noise, wrong=0, sigma=None):
 
 
 def unknown(camera):
-    return Camera(cameras.intrinsics(1.2 * SIZE[0], *SIZE), *SIZE, None)
+    size = camera.width, camera.height
+    return Camera(cameras.intrinsics(1.2 * size[0], *size), *size, None)
 
 
 def off(found, camera):
@@ -225,6 +227,26 @@ def test_edges_refine_what_was_picked(seed):
     assert abs(found.camera.K[0, 0] - camera.K[0, 0]) < 3 * found.focal_sigma_px
     twist = cameras.rt_from_matrix(camera.T_cam_world @ np.linalg.inv(found.camera.T_cam_world))
     assert twist @ np.linalg.solve(found.covariance, twist) < 22 and len(trace) > 1
+
+
+def test_edges_of_a_large_photograph_are_sought_in_a_smaller_one(monkeypatch):
+    """Nine times as many pixels, as soft as a telephone's: the same pose, in the pixels of the large photograph."""
+    camera, told, model = office_by_picks(3, 8, 1.5)
+    seen = image.read_photograph(OFFICE / "left.png")
+    wide = replace(seen, values=cv2.resize(seen.values, None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC))
+    larger = replace(camera, K=reduced.whole(camera.K, 3), width=3 * camera.width, height=3 * camera.height)
+    picks_there = replace(told, q=reduced.place(told.q, 1 / 3), sigma=3 * told.sigma)
+    first = picked.solve(told, unknown(camera), focal_known=False)
+    there = picked.solve(picks_there, unknown(larger), focal_known=False)
+    monkeypatch.setattr(picked_edges, "MEGAPIXELS", 0.4)
+    small, wide = (
+        picked_edges.refined(start, picks_, model, picture, False)[0]
+        for start, picks_, picture in ((first, told, seen), (there, picks_there, wide))
+    )
+    assert np.linalg.norm(wide.camera.centre - small.camera.centre) < 0.003
+    assert wide.camera.K[0, 0] / 3 == pytest.approx(small.camera.K[0, 0], rel=2e-3)
+    assert wide.camera.K[0, 2] == larger.K[0, 2] and wide.camera.width == larger.width
+    assert wide.focal_sigma_px / 3 == pytest.approx(small.focal_sigma_px, rel=0.5)
 
 
 def test_edges_that_are_not_there_refine_nothing():

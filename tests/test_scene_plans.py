@@ -1,6 +1,7 @@
 """Scenes with the real pipeline: what is not built, what matters for some goals, which camera a stage sees."""
 
 import itertools
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -194,6 +195,54 @@ def test_a_posed_photograph_with_a_lens_is_undistorted_and_keeps_its_pose(folder
         "camera": "left.pinhole.cameramodel",
         "photograph": "left.pinhole.png",
     } == options(folder, "index")
+
+
+def large(path, size=(6000, 4000)):
+    """The first bytes of a PNG of that size."""
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", *size))
+
+
+def test_a_large_photograph_is_made_smaller_and_keeps_its_pose(folder):
+    large(folder / "left.png")
+    assert chain(folder) == ["undistort", *FIT]
+    assert options(folder, "undistort")["megapixels"] == "6"
+    assert options(folder, "index")["photograph"] == "left.pinhole.png"
+    assert options(folder, "index")["camera"] == "left.pinhole.cameramodel"
+    text = "lamps: {lamp: [1, 1, 1]}\ngoals: [materials.json]\nparams: {undistort: {megapixels: 24}}"
+    assert chain(folder, text) == FIT
+    large(folder / "left.png", (3000, 2000))
+    assert chain(folder) == FIT
+
+
+def test_a_large_photograph_beside_given_pictures_of_its_pixels_stays(folder):
+    large(folder / "left.png")
+    (folder / "group.png").write_bytes(b"\x89PNG")
+    assert "undistort" not in chain(folder)
+
+
+def test_the_pose_is_told_in_the_pixels_of_a_large_photograph(folder):
+    """Without a lens the pose is of the photograph as it was taken, and undistortion makes both smaller."""
+    (folder / "left.posed.cameramodel").unlink()
+    large(folder / "left.png")
+    (folder / "pose.csv").write_text("x_px,y_px,X,Y,Z\n" + "".join(f"{k},{k * k},{k},0,1\n" for k in range(9)))
+    assert chain(folder) == ["undistort", "pose", *FIT]
+    told = options(folder, "pose")
+    assert told["photograph"] == "left.png" and "lens" not in told and "pinhole" not in told
+    assert options(folder, "undistort")["lens-camera"] == told["posed"] == "left.posed.cameramodel"
+    assert options(folder, "index")["camera"] == "left.pinhole.cameramodel"
+    cameras(folder, "left")
+    assert chain(folder) == ["undistort", "pose", *FIT]
+    told = options(folder, "pose")
+    assert told["photograph"] == "left.pinhole.png" and told["pinhole"] == "left.pinhole.cameramodel"
+    assert options(folder, "undistort")["lens-camera"] == told["lens"] == "left.cameramodel"
+
+
+def test_a_large_pair_without_cameras(pair):
+    for side in files.SIDES:
+        large(pair / f"{side}.png")
+    assert chain(pair) == ["calibrate", *BENT, "orient", *SEE, *FIT]
+    assert options(pair, "undistort_right")["lens-camera"] == "right.cameramodel"
+    assert options(pair, "segment")["photograph-right"] == "right.pinhole.png"
 
 
 def test_light_stays_light_when_it_is_undistorted(folder):

@@ -73,12 +73,12 @@ def check_unpacked(path, what, packed, unpacked):
 
 
 def check_picture(path, width, height, size):
-    """BadInput: a picture of so many pixels in a file of `size` bytes is larger than any photograph."""
+    """BadInput: a picture of so many pixels in a file of `size` bytes (None: of any) is larger than any photograph."""
     if not (0 < width <= WIDEST_PX and 0 < height <= WIDEST_PX and width * height <= MOST_PX):
         raise BadInput(
             f"{path}: size: {width} x {height}: a picture has at most {WIDEST_PX} px a side, {MOST_PX:.0e} px"
         )
-    if width * height > FEW_PX and size < EMPTIEST * width * height:
+    if size is not None and width * height > FEW_PX and size < EMPTIEST * width * height:
         raise BadInput(f"{path}: size: {width} x {height} px in {size} bytes is no photograph")
 
 

@@ -202,7 +202,7 @@ def _display_values(path):
 
 def read_labels(path) -> np.ndarray:
     """(H, W) int32 of an 8- or 16-bit PNG or a 32-bit TIFF; 0 is nothing."""
-    stored = _decode(os.fspath(path))
+    stored = _decode(os.fspath(path), of_labels=True)
     if stored.ndim != 2 or stored.dtype.kind not in "iu":
         raise BadInput(f"{path}: labels: one channel of integers is needed, got {stored.shape} {stored.dtype}")
     return stored.astype(np.int32)
@@ -281,6 +281,23 @@ def read_exr(path) -> np.ndarray:
     raise BadInput(f"{path}: channels: {', '.join(sorted(pixels))} instead of R, G, B or Y or Z")
 
 
+def announced(path) -> tuple[int, int]:
+    """(width, height) px of a photograph by its header; nothing else is read.  BadInput: none that can be read."""
+    if os.fspath(path).endswith(".exr"):
+        try:
+            x0, y0, x1, y1 = _check_exr(os.fspath(path), os.path.getsize(path))[0]
+        except BadInput:
+            raise
+        except Exception as error:  # the package raises plain RuntimeError, TypeError, ...
+            raise BadInput(f"{path}: not a readable EXR: {' '.join(str(error).split())}") from None
+        return x1 - x0 + 1, y1 - y0 + 1
+    try:
+        with picture_files.opened(path) as picture:
+            return picture.size
+    except Exception as error:  # whatever a damaged header makes of it
+        raise BadInput(f"{path}: not a readable image: {' '.join(str(error).split())}") from None
+
+
 def _check_exr(path, size):
     """The data window and the display window, (x0, y0, x1, y1) px each. BadInput: too large, or other channels."""
     import OpenEXR
@@ -321,10 +338,10 @@ def _content(path):
     return content
 
 
-def _decode(path):
+def _decode(path, of_labels=False):
     """What OpenCV reads of a PNG, a JPEG or a TIFF; BadInput where it reads nothing, or the file is damaged."""
     content = _content(path)
-    size = picture_files.check(path, content)
+    size = picture_files.check(path, content, of_labels)
     image, said = _of_opencv(content) if size else (None, [])
     if said:
         raise BadInput(f"{path}: damaged: {said[0]}")

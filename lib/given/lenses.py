@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given import cameras, mrcal_runner
+from lib.given import cameras, mrcal_runner, reduced
 
 COUNTS = {
     "LENSMODEL_PINHOLE": 4,
@@ -275,11 +275,14 @@ def source(lens, camera):
     return np.clip(q, 0, size)
 
 
-def resample(values, lens, camera):
-    """(H, W, C) -> the same photograph through the pinhole, by cubic B-splines (order 3, interpolating)."""
+def resample(values, lens, camera, k=1):
+    """(H, W, C) -> the same photograph through the pinhole, by cubic B-splines (order 3, interpolating).
+
+    k : how many times smaller than the lens's picture the photograph was made
+    """
     from scipy import ndimage
 
-    q = source(lens, camera)
+    q = np.clip(reduced.place(source(lens, camera), k), 0, np.array(values.shape[1::-1]) - 1)
     at = [q[..., 1], q[..., 0]]
     out = np.stack(
         [ndimage.map_coordinates(values[..., c], at, order=3, mode="mirror") for c in range(values.shape[2])], -1

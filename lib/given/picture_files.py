@@ -23,17 +23,18 @@ DAMAGE = re.compile(
 )
 
 
-def check(path, content):
+def check(path, content, of_labels=False):
     """(width, height) px of a PNG, a JPEG or a TIFF, None where it is none of them, or not readable.
 
+    of_labels : a picture of whole numbers, which may be as even as can be
     BadInput: too large, truncated or damaged, as far as can be told. A JPEG and most TIFFs have no checksum.
     """
     format = next((format for mark, format in MARKS.items() if content.startswith(mark)), None)
     if format == "PNG":
-        _check_png(path, content)
+        _check_png(path, content, of_labels)
     elif format == "JPEG" and b"\xff\xd9" not in content[-1024:]:
         raise BadInput(f"{path}: truncated: {len(content)} bytes without the end of a JPEG")
-    return _announced(path, content, format) if format else None
+    return _announced(path, content, format, of_labels) if format else None
 
 
 @contextlib.contextmanager
@@ -73,7 +74,7 @@ def heard():
             found += [" ".join(line.split()) for line in lines if DAMAGE.search(line)]
 
 
-def _announced(path, content, format):
+def _announced(path, content, format, of_labels):
     """(width, height) px by the header, None where it cannot be read; BadInput where they are too many.
 
     A TIFF is decoded as well, where Pillow can: its decoder in OpenCV is silent about damage.
@@ -83,14 +84,14 @@ def _announced(path, content, format):
     try:
         with heard(), opened(io.BytesIO(content)) as picture:
             size = picture.size
-            bounded.check_picture(path, *size, len(content))
+            bounded.check_picture(path, *size, None if of_labels else len(content))
             if format == "TIFF":
                 _check_strips(path, content, picture.tag_v2)
                 picture.load()
     except UnidentifiedImageError:
         size = _tiff_size(content) if format == "TIFF" else None
         if size:
-            bounded.check_picture(path, *size, len(content))
+            bounded.check_picture(path, *size, None if of_labels else len(content))
     except OSError as error:
         raise BadInput(f"{path}: damaged: {' '.join(str(error).split()):.80}") from None
     except BadInput:
@@ -123,7 +124,7 @@ def _tiff_size(content):
         return None
 
 
-def _check_png(path, content):
+def _check_png(path, content, of_labels=False):
     """Every chunk whole, its checksum right, the last one IEND; the picture's data as long as its header says."""
     at, packed, header = 8, [], None
     while True:
@@ -141,7 +142,7 @@ def _check_png(path, content):
         at += 12 + length
         if kind == b"IHDR" and length == 13 and header is None:
             header = struct.unpack(">IIBBBBB", data)
-            bounded.check_picture(path, *header[:2], len(content))
+            bounded.check_picture(path, *header[:2], None if of_labels else len(content))
         elif kind == b"IDAT":
             packed.append(data)
         elif kind == b"IEND":

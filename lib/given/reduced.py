@@ -41,6 +41,18 @@ def place(q, k):
     return (np.asarray(q, float) + 0.5) / k - 0.5
 
 
+def pinhole(camera, k):
+    """cameras.Camera of the smaller photograph."""
+    return replace(camera, K=whole(camera.K, 1 / k), width=camera.width // k, height=camera.height // k)
+
+
+def whole(K, k):
+    """The matrix K (3, 3) of a smaller photograph in the pixels of the whole one."""
+    K = K * [[k], [k], [1]]
+    K[:2, 2] += (k - 1) / 2
+    return K
+
+
 def camera(found, k):
     """foreign_cameras.Found of the smaller photograph: of every lens the first four numbers are fx, fy, cx, cy."""
     numbers = np.array(found.intrinsics, float)

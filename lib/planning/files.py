@@ -2,6 +2,7 @@
 
 import functools
 import re
+import struct
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,6 +55,31 @@ def export_kind(file) -> str | None:
 
 
 # ---- quick looks; where a file cannot be read, the stage that needs it says why ----
+
+
+def pixels(photograph) -> int | None:
+    """How many a picture has by its header, or None where that cannot be read."""
+    try:
+        status = photograph.stat()
+    except OSError:
+        return None
+    return _pixels(photograph, status.st_size, status.st_mtime_ns)
+
+
+@functools.lru_cache
+def _pixels(path, *_):
+    try:
+        with open(path, "rb") as file:
+            head = file.read(24)
+        if head.startswith(b"\x89PNG\r\n\x1a\n"):
+            width, height = struct.unpack(">II", head[16:24])
+            return width * height
+        from lib.given import image  # NumPy: a PNG does without
+
+        width, height = image.announced(path)
+        return width * height
+    except (OSError, BadInput, struct.error):
+        return None
 
 
 def _names_of_obj(data, word) -> set[str]:

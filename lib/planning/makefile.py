@@ -13,7 +13,7 @@ from lib.core import artefact
 from lib.core.stage import BadInput
 from lib.planning import folder, health, progress
 from lib.planning.command import command, imports
-from lib.planning.files import OBJECTS, PHOTOGRAPH, PHOTOS, PICKED, further_files, here, object_files
+from lib.planning.files import OBJECTS, PHOTOGRAPH, PHOTOS, PICKED, further_files, here, object_files, pixels
 from lib.planning.walk import explain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -150,7 +150,8 @@ def _copying(plan, goal, commands):
 
 def _seconds_left(plan) -> dict[str, float]:
     """Of each planned stage: how long it and all after it will take, as far as is known."""
-    size = progress.pixels(plan.scene.given(PHOTOGRAPH))
+    photograph = plan.scene.given(PHOTOGRAPH)
+    size = min(pixels(photograph) or 0, 1e6 * plan.scene.megapixels) if photograph else None
     took = [progress.seconds(plan.stages[n].kind, plan.build / plan.stages[n].report, size) for n in plan.planned]
     return {name: sum(took[k:]) for k, name in enumerate(plan.planned)}
 

@@ -6,7 +6,6 @@ Only the standard library: this runs at every `make`.
 """
 
 import argparse
-import struct
 import time
 from pathlib import Path
 
@@ -31,19 +30,6 @@ def seconds(stage, report, pixels=None) -> float:
     except (TypeError, KeyError, ValueError):
         fixed, growing = TYPICAL.get(stage, ELSE)
         return fixed + growing * (pixels or SIZE) / SIZE
-
-
-def pixels(photograph) -> int | None:
-    """Of a PNG, by its header; None of anything else."""
-    try:
-        with open(photograph, "rb") as file:
-            head = file.read(24)
-        if not head.startswith(b"\x89PNG\r\n\x1a\n"):
-            return None
-        width, height = struct.unpack(">II", head[16:24])
-        return width * height
-    except (OSError, TypeError, struct.error):
-        return None
 
 
 def _read(path):

@@ -29,6 +29,7 @@ from lib.planning.files import (
     lens_of,
     object_files,
     photograph_of,
+    pixels,
 )
 from lib.planning.folder import folder_problems
 from lib.planning.near_misses import alike
@@ -40,6 +41,10 @@ NO_FILE = "-"  # no scene has one of this name
 PLACED = ("movable", "refine", OBJECTS)  # a scene that asks for one of these has a model with objects at found places
 TOLD = ("camera", *PICKED, *FSPY)  # how a person tells where `left` was taken from
 GOALS = ("materials.json", "rendered.png", "report.html")
+IN_PIXELS = (  # of `left` as it was taken: where one of them is given, the photograph keeps its size
+    *("left.regions.png|tif", "left.surfaces.png|tif", "group.png", "object.png", "facet.png", "trusted.png"),
+    *("depth.exr", "gather.npz", "coverage.npz"),
+)
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,7 @@ class Scene:
     augment: tuple = ()
     exports: tuple = ()  # kinds
     params: dict = field(default_factory=dict)  # stage -> name -> value
+    megapixels: float = float("inf")  # that a photograph keeps at most; larger ones are made smaller
     problems: tuple = ()  # one line each; empty if the scene may run
 
     def given(self, file) -> Path | None:
@@ -170,29 +176,44 @@ def _recognised(scene, placed) -> dict[str, str]:
 def views(scene, side) -> dict[str, str]:
     """Of one photograph of the pair, the file that each name in angle brackets of pipeline.yaml stands for.
 
-    <side>            the photograph as the analysis sees it: as taken, or undistorted where the lens is no pinhole
+    <side>            the photograph as the analysis sees it: as taken, or made anew where the lens is no pinhole or the
+                      photograph is large
     <side raw lens>   the camera as calibrated or given, any lens        <side pinhole>   what undistortion writes
     <side lens>       the same as a pinhole                              <side camera>    a pinhole in the pair's frame
     <side posed>      a pinhole in the model's frame
+    <side told>, <side told lens>   the photograph in which a person tells the pose, and its camera as a pinhole: the
+                      one as taken where no lens is given
     """
     posed, own = f"{side}.posed.cameramodel", f"{side}.cameramodel"
     taken = photograph_of(side)
     given = scene.given(taken)
     flat = f"{side}.pinhole.exr" if given and given.suffix == ".exr" else f"{side}.pinhole.png"
-    bent = lens(scene, side) != PINHOLE
-    known = bent and bool(scene.given(posed))  # a pose and a lens: undistortion keeps both
-    straight = f"{side}.pinhole.cameramodel" if bent else own
+    anew = lens(scene, side) != PINHOLE or _is_large(scene, given)
+    bare = (
+        anew and side == "left" and scene.is_told and not scene.given(own)
+    )  # its camera has what the pose tells alone
+    known = anew and (bare or bool(scene.given(posed)))  # a pose and a lens: undistortion keeps both
+    straight = f"{side}.pinhole.cameramodel" if anew else own
     pair = f"{side}.oriented.cameramodel" if unoriented(scene) else straight
-    if not bent and all(scene.given(f"{s}.posed.cameramodel") for s in SIDES):
+    if not anew and all(scene.given(f"{s}.posed.cameramodel") for s in SIDES):
         pair = posed
+    seen = flat if anew else taken
     return {
-        f"<{side}>": flat if bent else taken,
+        f"<{side}>": seen,
+        f"<{side} told>": taken if bare else seen,
+        f"<{side} told lens>": NO_FILE if bare else straight,
         f"<{side} raw lens>": posed if known else own,
         f"<{side} pinhole>": flat,
         f"<{side} lens>": straight,
         f"<{side} camera>": pair,
         f"<{side} posed>": straight if known else posed,
     }
+
+
+def _is_large(scene, photograph) -> bool:
+    """Whether a given photograph (or None) has more pixels than are analysed."""
+    fixed = photograph is None or any(map(scene.given, IN_PIXELS))
+    return not fixed and (pixels(photograph) or 0) > 1e6 * scene.megapixels
 
 
 def lens(scene, side) -> str:
@@ -263,7 +284,9 @@ def read(folder, stages) -> Scene:
     if sound.get("augment") and sound.get("transfer") in OF_PICTURE:
         why = f"needs a transfer function of the light alone, which {sound['transfer']} is not"
         problems.append(f"{path}: augment: {why}")
-    scene = Scene(folder.name, folder, **sound)
+    known = stages["undistort"].params if "undistort" in stages else {}
+    most = {**known, **sound.get("params", {}).get("undistort", {})}.get("megapixels", Scene.megapixels)
+    scene = Scene(folder.name, folder, **sound, megapixels=most)
     return replace(scene, problems=(*problems, *folder_problems(scene)))
 
 

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from lib.given import reduced
 from lib.vision.picked import Found, residuals_px
 from lib.vision.recognition.closed_form import Pose
 from lib.vision.recognition.recognise import Recognition
 from lib.vision.refinement.pose import refine
 from lib.vision.refinement.rig import Side, gap_to_prior
 
+MEGAPIXELS = 6.0  # in which edges are sought: those of larger photographs are many pixels wide
 LENS_PX, CENTRE_PART = 0.1, 0.005  # what is known of a given lens; of the principal point of another, of the width
 DOUBTFUL = (
     22.5,
@@ -28,9 +30,12 @@ def refined(found: Found, picks, model, photograph, focal_known) -> tuple[Found,
     T, C = found.camera.T_cam_world, found.joint[:size, :size]
     start = Pose(T, 1.0, C, np.zeros((0, 2), int), 0.0, 0.0, 0.0, T)
     told = Recognition((start,), "unique", "picked places", np.zeros(0), {})
-    lens_px = LENS_PX if focal_known else CENTRE_PART * found.camera.width
-    result = refine(model, [Side(found.camera, photograph)], told, lens_px=lens_px, is_zoom=not focal_known)
-    camera = result.cameras[0]
+    k = reduced.times((found.camera.width, found.camera.height), MEGAPIXELS)
+    small = reduced.pinhole(found.camera, k)
+    seen = replace(photograph, values=reduced.picture(photograph.values, k)) if k > 1 else photograph
+    lens_px = LENS_PX if focal_known else CENTRE_PART * small.width
+    result = refine(model, [Side(small, seen)], told, lens_px=lens_px, is_zoom=not focal_known)
+    camera = replace(found.camera, K=reduced.whole(result.cameras[0].K, k), T_cam_world=result.cameras[0].T_cam_world)
     if result.rms_px is None or result.support < result.least or result.evidence < result.needed:
         return found, [], f"the photograph has {result.support:.0%} of the model's edges there: not refined on them"
     gap = gap_to_prior((None, T, 1.0), camera.T_cam_world, result.scale, size)

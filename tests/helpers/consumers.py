@@ -129,6 +129,40 @@ def usd(folder, out):
     print(json.dumps({"strange": strange, "bound": bound, "at": at, "up": up, "metres": metres}))
 
 
+def blender_cameras(folder, out):
+    """docs/blender_camera.py in Blender itself: [file, size, points, where Blender's own projection has them (px)]."""
+    import itertools
+
+    import bpy
+    import numpy as np
+    from mathutils import Vector
+
+    rng, told = np.random.default_rng(5), []
+    sizes, fits, aspects = [(640, 480), (480, 640)], ["AUTO", "HORIZONTAL", "VERTICAL"], [(1, 1), (1, 1.2), (1.3, 1)]
+    for n, (size, fit, aspect) in enumerate(itertools.product(sizes, fits, aspects)):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        scene, data = bpy.context.scene, bpy.data.cameras.new("camera")
+        scene.name, camera = f"scene{n}", bpy.data.objects.new("camera", data)
+        scene.collection.objects.link(camera)
+        scene.camera, data.sensor_fit, data.lens = camera, fit, float(rng.uniform(18, 50))
+        data.shift_x, data.shift_y = map(float, rng.uniform(-0.2, 0.2, 2))
+        camera.rotation_euler, camera.location = rng.uniform(-1, 1, 3), rng.uniform(-2, 2, 3)
+        scene.render.resolution_x, scene.render.resolution_y = 2 * size[0], 2 * size[1]
+        scene.render.resolution_percentage = 50
+        scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
+        bpy.context.view_layer.update()
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / f"{n}.blend"))
+        exec((Path(__file__).parents[2] / "docs/blender_camera.py").read_text(), {})
+        local = np.concatenate([rng.uniform(-1, 1, (12, 2)), -rng.uniform(2, 6, (12, 1))], axis=1)
+        world = [camera.matrix_world @ Vector(p) for p in local]
+        graph, (x, y) = bpy.context.evaluated_depsgraph_get(), size
+        P = camera.calc_matrix_camera(graph, x=x, y=y, scale_x=aspect[0], scale_y=aspect[1])
+        seen = [P @ camera.matrix_world.normalized().inverted() @ Vector((*p, 1)) for p in world]
+        q = [((c[0] / c[3] + 1) / 2 * x - 0.5, (1 - c[1] / c[3]) / 2 * y - 0.5) for c in seen]
+        told.append([str(folder / f"scene{n}.camera.json"), size, [list(p) for p in world], q])
+    print(json.dumps(told))
+
+
 if __name__ == "__main__":
     kind, folder, out, *numbers = sys.argv[1:]
     globals()[kind](Path(folder).resolve(), Path(out), *map(int, numbers))
