@@ -206,6 +206,46 @@ def test_a_room_without_floor_is_no_solid(tmp_path):
     assert not s.inside.any() and not len(lids(s))
 
 
+def shelf(rng):
+    """Boxes of one shelf on a grid of centimetres, boards between sides, backs and boxes on the boards: they touch."""
+    cm = lambda low, high: round(int(rng.integers(100 * low, 100 * high)) / 100, 2)
+    x0, y0, wide, deep, high = cm(1, 2), cm(1, 1.5), cm(0.5, 1.3), cm(0.2, 0.5), cm(0.8, 1.8)
+    side = cm(0.02, 0.06)
+    parts = [(x0, y0, 0, x0 + side, y0 + deep, high), (x0 + wide, y0, 0, x0 + wide + side, y0 + deep, high)]
+    for z in np.linspace(0, high - 0.1, int(rng.integers(2, 6))):
+        z = round(float(z), 2)
+        parts.append((x0 + side, y0, z, x0 + wide, y0 + deep, z + 0.04))
+        if rng.random() < 0.5:
+            a, b = cm(0.02, 0.1), cm(0.02, 0.1)
+            parts.append((x0 + side + a, y0 + 0.05, z + 0.04, x0 + side + a + b, y0 + 0.15, z + 0.07))
+    return [tuple(np.round(part, 2)) for part in parts]
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_touching_boxes_of_one_object(tmp_path, seed):
+    """What looks into one of the boxes at all its places is inside, and nothing else: by hand."""
+    parts = shelf(np.random.default_rng(seed))
+    objects = rooms.room() | {"shelf": [("wood", p) for part in parts for p in rooms.box(*part).values()]}
+    m = model.load(rooms.write(tmp_path / "m.obj", objects))
+    s = surface(m)
+    low, high = np.array(parts)[:, :3], np.array(parts)[:, 3:]
+    rng = np.random.default_rng(1000 + seed)
+    for f in np.flatnonzero(m.facet_object == m.objects.index("shelf")):
+        corners = m.vertices[m.triangles[m.triangle_facet == f]]
+        u = rng.random((len(corners), 400, 2))
+        u = np.where(u.sum(axis=2, keepdims=True) > 1, 1 - u, u)
+        p = (
+            corners[:, :1]
+            + u[..., :1] * (corners[:, 1:2] - corners[:, :1])
+            + u[..., 1:] * (corners[:, 2:] - corners[:, :1])
+        )
+        for back in (0, 1):
+            q = p.reshape(-1, 1, 3) + (1 - 2 * back) * 1e-4 * m.facet_normal[f]
+            share = ((q > low) & (q < high)).all(axis=2).any(axis=1).mean()
+            if not 0.8 < share < 1:
+                assert s.inside[2 * f + back] == (share == 1), (f, back, share)
+
+
 def test_a_housing_that_its_lamp_closes(tmp_path):
     """A lamp that shines out of an open box closes it; one that shines into it does not."""
     housing = box("housing", (1, 1, 2, 2, 2, 2.4), "bottom")

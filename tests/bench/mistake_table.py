@@ -1,0 +1,54 @@
+"""The table of mistakes with the line that each gets and the seconds until it comes, as Markdown.
+
+    $ python -m tests.bench.mistake_table > docs/mistakes.md
+
+Each is `make room` of its own, from the command to its end.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.helpers.mistakes import MISTAKES, scene
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAD = """# Mistakes, and what is said
+
+Each row is a scene that is sound but for one thing, and the first line that `make` ends in, with exit status 2,
+nothing written: {n} of them, {median:.1f} s in the median, {most:.1f} s at most. `python -m tests.bench.mistake_table`
+makes this page; `tests/test_mistakes.py` asks each.
+
+| wrong | said | s |
+| --- | --- | --- |
+"""
+
+
+def told(name, folder):
+    """(first line, seconds) of one mistake."""
+    data, build = folder / "data", folder / "build"
+    MISTAKES[name][0](scene(data / "room"))
+    began = time.monotonic()
+    words = ["make", f"PYTHON={sys.executable}", f"DATA={data}", f"BUILD={build}", "room"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    took = time.monotonic() - began
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("make")]
+    assert done.returncode == 2 and lines and not build.exists(), (name, done)
+    said = lines[0].removeprefix("plan.py: ")
+    return said.replace(f"{data}/room/", "").replace(f"{data}/", ""), took
+
+
+def main():
+    rows = []
+    for name in MISTAKES:
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append((name, *told(name, Path(folder))))
+    seconds = sorted(took for *_, took in rows)
+    print(HEAD.format(n=len(rows), median=seconds[len(rows) // 2], most=seconds[-1]), end="")
+    for name, line, took in rows:
+        print(f"| {name} | `{line.replace('`', '').replace('|', '/')}` | {took:.1f} |")
+
+
+if __name__ == "__main__":
+    main()
