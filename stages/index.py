@@ -59,7 +59,7 @@ def main(opt):
             from lib.buffers.edges import visible_edges
             from lib.buffers.trust import trusted
             from lib.core import artefact
-            from lib.given import image
+            from lib.given import image, jpeg
             from lib.given.view import View
 
         with report.timing("read"):
@@ -72,6 +72,8 @@ def main(opt):
         with report.timing("draw"):
             index = draw(model, camera, opt.method, report)
         with report.timing("check"):
+            if view.photograph.lost_tables:
+                report.warning(f"{opt.photograph}: {jpeg.NO_TABLES}")
             for warning in (*model.warnings, *model_checks.findings(model, camera, index.facet)):
                 report.warning(f"{opt.model}: {warning}")
             if (cost := first_look.cost(view.photograph.values.shape)).doubt:

@@ -79,6 +79,8 @@ def from_picks(opt, report, photograph):
             raise stage.BadInput(f"{where}: {bad}") from None
     for text in picked.warnings(found, [*told.names, *told.line_names], focal_known=bool(opt.pinhole)):
         report.warning(f"{where}: {text}")
+    if line := picked.misread(told, camera, bool(opt.pinhole), than=found):
+        report.warning(f"{where}: {line}")
     trace = []
     if opt.model:
         with report.excluded("imports"):

@@ -44,6 +44,7 @@ def main(opt):
             import mapbox_earcut  # noqa: F401
 
             from lib.core import artefact
+            from lib.given import jpeg
             from lib.vision import facets_file, matching
             from lib.vision.facets import outlines
             from lib.vision.facets import planes as facets
@@ -82,6 +83,8 @@ def main(opt):
                     f"{path}: JPEG's steps add {100 * photograph.ringing:.1f} % of white at edges, sigmas hold up to "
                     f"{100 * facets.COARSE:.0f} % (quality 93): facets may be further off than they say"
                 )
+            if photograph.lost_tables:
+                report.warning(f"{path}: {jpeg.NO_TABLES}")
         report["facets"], report["refused"] = len(found), outlines.reasons(refused)
         report["loose"] = sum(x.loose for x in found)
         report["side_sigma_px"] = side_sigma_px

@@ -31,27 +31,26 @@ def main(opt):
     with Report.of(opt) as report:
         with report.excluded("imports"):
             import cv2  # noqa: F401  where lib/ imports late
-            import numpy as np
             import scipy.ndimage  # noqa: F401
 
             from lib.core import artefact
             from lib.given import cameras, image, lenses, reduced, view
 
-        photograph = image.read_photograph(opt.photograph)
-        lens, values = lenses.read(opt.lens_camera), photograph.values
-        if problem := view.size_problem(opt.photograph, values, lens, opt.lens_camera):
+        photograph, lens = image.read_photograph(opt.photograph), lenses.read(opt.lens_camera)
+        if problem := view.size_problem(opt.photograph, photograph.values, lens, opt.lens_camera):
             raise stage.BadInput(problem)
         with report.timing("camera"):
             camera, share = lenses.pinhole(lens)
         if (k := reduced.times((lens.width, lens.height), opt.megapixels)) > 1:
-            values, whole, camera = reduced.picture(values, k), camera, reduced.pinhole(camera, k)
+            photograph, whole, camera = reduced.photograph(photograph, k), camera, reduced.pinhole(camera, k)
             all_of_it = f"{{undistort: {{megapixels: {math.ceil(whole.width * whole.height / 1e6)}}}}}"
             report.warning(
                 f"{opt.photograph}: {whole.width} x {whole.height} px are analysed and rendered at {camera.width} x "
                 f"{camera.height}, for memory and time (params: {all_of_it} keeps all: half a GB for each)"
             )
-        with report.timing("resample"):
-            values = values if lens.model == "LENSMODEL_PINHOLE" else lenses.resample(values, lens, camera, k)
+        if lens.model != "LENSMODEL_PINHOLE":
+            with report.timing("resample"):
+                photograph = lenses.straightened(photograph, lens, camera, k)
         report["focal_factor"] = k * camera.K[0, 0] / lens.intrinsics[0]
         report["share_kept"] = share
         if share < 0.5:
@@ -60,10 +59,7 @@ def main(opt):
                 "too wide for more"
             )
         with artefact.writing_all(opt.pinhole, opt.camera) as (pinhole, model):
-            if photograph.linear:
-                image.write_exr(pinhole, np.maximum(values, 0))
-            else:
-                image.write_png16(pinhole, np.rint(np.clip(values, 0, 1) * 65535).astype(np.uint16))
+            image.write_photograph(pinhole, photograph)
             cameras.write_cameramodel(model, camera)
 
 

@@ -1,13 +1,16 @@
 """Image files: what is written is read again to the last bit; what is damaged is refused in one line."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from lib.buffers.trust import in_blocks
 from lib.core.stage import BadInput
-from lib.given import image
+from lib.given import image, jpeg, reduced
 from lib.planning import files
+from tests.helpers import jpegs
 
 RNG = np.random.default_rng(0)
 COLOUR8 = RNG.integers(0, 256, (13, 17, 3), dtype=np.uint8)
@@ -204,3 +207,59 @@ def test_an_even_picture_of_labels_is_large_and_no_photograph(tmp_path):
     assert np.array_equal(image.read_labels(tmp_path / "facet.png"), labels)
     with pytest.raises(BadInput, match="no photograph"):
         image.read_photograph(tmp_path / "facet.png")
+
+
+def soft(seed, size=(160, 240)):
+    """(H, W, 3) display of soft colours with a sensor's noise."""
+    rng = np.random.default_rng(seed)
+    values = cv2.GaussianBlur(rng.uniform(0.1, 0.9, (*size, 3)), (0, 0), 12)
+    values = 0.5 + 6 * (values - values.mean(axis=(0, 1)))
+    return np.clip(values + rng.normal(0, 0.006, values.shape), 0, 1)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_a_smaller_picture_of_a_jpeg_knows_of_it(tmp_path, k):
+    """What all pixels of a block share stays, blocks are k times smaller, and ringing averages out in part."""
+    taken = jpegs.stored(soft(0), 92)
+    image.write_photograph(tmp_path / "a.png", reduced.photograph(taken, k))
+    found = image.read_photograph(tmp_path / "a.png")
+    assert found.bits == 16 and not found.lost_tables
+    np.testing.assert_allclose(found.values, reduced.picture(taken.values, k), atol=1e-5)
+    assert found.blocks.px == pytest.approx(taken.blocks.px / k) and found.blocks.first == (0, 0)
+    assert found.blocks.noise == taken.blocks.noise and (found.blocks.colour == taken.blocks.colour).all()
+    assert taken.blocks.noise <= found.blocks.edge_noise <= taken.blocks.edge_noise
+    bent = replace(taken, blocks=taken.blocks._replace(first=None))
+    image.write_photograph(tmp_path / "b.png", bent)
+    assert image.read_photograph(tmp_path / "b.png").blocks.first is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "no", "[16, -1, 0, 0, 0]", "[16, 0.1, 0.1, 0.1, 1e999, 0]", '{"a": 1}', "3"]
+)
+def test_a_text_that_is_no_jpeg_is_none(text):
+    assert jpeg.of_text(text) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("quality", [75, 90, None])
+def test_a_jpeg_under_another_name_is_seen(seed, quality):
+    """By steps between its blocks, also where a corner was cut off; none in what was never a JPEG."""
+    values = soft(seed) if quality is None else jpegs.stored(soft(seed), quality).values[3:, 5:]
+    taken = image.Photograph(values, 8, False, 3)
+    assert taken.lost_tables == (quality is not None)
+    assert not replace(taken, linear=True).lost_tables
+
+
+@pytest.mark.parametrize("px, first", [(16.0, (0, 0)), (16 / 3, (1.3, 4.0)), (8.0, (3.0, 0.0)), (8.0, None)])
+def test_blocks_that_hold_an_edge(px, first):
+    """Every pixel that may share a block with an edge, and none further than a block away."""
+    edges = np.zeros((60, 90), bool)
+    edges[20, 33] = edges[59, 0] = True
+    held = in_blocks(edges, jpeg.Blocks(px, 0.0, 0.0, np.zeros(1), first))
+    y, x = np.nonzero(held)
+    near = [np.maximum(abs(y - b), abs(x - a)) for b, a in ((20, 33), (59, 0))]
+    assert held[20, 33] and held[59, 0] and np.minimum(*near).max() <= 2 * px
+    if first is not None:
+        rows, columns = (np.floor((np.arange(n) - f + 0.5) / px) for n, f in zip(edges.shape, first, strict=True))
+        shares = lambda y, x: (rows == rows[y])[:, None] & (columns == columns[x])
+        assert (held == (shares(20, 33) | shares(59, 0))).all()

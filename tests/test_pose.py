@@ -258,6 +258,35 @@ def test_edges_that_are_not_there_refine_nothing():
     assert found is first and trace == [] and "not refined on them" in why
 
 
+MISREAD = {
+    "x_px and y_px are swapped": lambda x, y: (y, x),
+    "y_px is counted from the bottom": lambda x, y: (x, SIZE[1] - 1 - y),
+    "the picture was 2 times smaller": lambda x, y: (x / 2, y / 2),
+    "the picture was 3 times larger": lambda x, y: (3 * x, 3 * y),
+    "the picture was turned by a quarter the": lambda x, y: (SIZE[1] - 1 - y, x),
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("words", MISREAD)
+def test_picks_that_were_misread_are_told_how(seed, words):
+    """Whether they agree with some camera or not, the reading under which all do is named; right ones are not asked."""
+    camera, told, _ = office_by_picks(seed, 9, 1.0)
+    x, y = told.q.T
+    wrong = replace(told, q=np.stack(MISREAD[words](x, y), axis=1))
+    line = picked.misread(wrong, unknown(camera), focal_known=False)
+    assert line and words in line
+    right = picked.solve(told, unknown(camera), focal_known=False)
+    assert picked.misread(told, unknown(camera), focal_known=False, than=right) is None
+
+
+def test_a_refusal_says_how_picks_may_be_meant():
+    camera, told, _ = office_by_picks(2, 9, 1.0)
+    wrong = replace(told, q=told.q * [1, -1] + [0, SIZE[1] - 1])
+    with pytest.raises(BadInput, match="all 9 points would agree with one camera if y_px is counted from the bottom"):
+        picked.solve(wrong, unknown(camera), focal_known=False)
+
+
 def planned(tmp_path, facts="", **files):
     """The plan of office without its camera, with more in scene.yaml and other files."""
     folder = tmp_path / "attic"

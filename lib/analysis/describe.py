@@ -53,7 +53,10 @@ def describe(
     """
     errors = group_rmse(problem, result.tile_residual)
     specular = () if climb is None or climb.finish is None else climb.finish.groups
-    wrong = any(w.cause in FACTS for w in why)  # no residual tells how far values are off that rest on this
+    accused = {w.subject for w in why if w.cause == "group_wrong"}
+    told = {problem.groups[g] for g in problem.known_groups}
+    # no residual tells how far values are off that rest on this
+    wrong = any(w.cause in FACTS for w in why) or bool(told & accused)
     groups = {}
     for g, name in enumerate(problem.groups):
         if name in problem.lamps:
@@ -61,7 +64,7 @@ def describe(
         group = _diffuse(problem, result, g, g in specular, errors[g], int(found.visible[g]))
         if climb is not None:
             group = _of_rung(group, climb, g, (textures or {}).get(g))
-        known = g in problem.known_groups and g not in specular
+        known = g in problem.known_groups and g not in specular and name not in accused
         if group.sigma.rho_d is not None and _believed(group.sigma.rho_d, 1.0) is None:
             group = replace(group, identified=False, sigma=replace(group.sigma, rho_d=None))
         if why and not known:

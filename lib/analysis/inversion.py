@@ -162,6 +162,7 @@ def _moved(explained, refined, ladder=()) -> Answer:
 def _doubt_facts(task, answer: Answer):
     """Widen every sigma by what else may be as well of what is told."""
     agreement.doubt_told(answer.problem, answer.result, task.transfer)
+    agreement.doubt_references(answer.problem, answer.result)
     if not answer.climb:
         agreement.doubt_srgb(answer.explained.given, answer.explained.best, answer.result)
 
@@ -229,6 +230,8 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
     may_face_away = not hopeless and first.typical >= FACES_AWAY and promised.get(explain.LAMPS) == most
     if may_face_away and (why := _flipped(task, rough)):
         return _named(task, given(), why)
+    if why := _references_told_wrong(task, first, leave, most):
+        return _named(task, given(), why)
     if most < enough(first.problem) or promised[explain.OBJECT] == most:
         return None
     if why := _transfer_told_wrong(task, first, leave, promised, given):
@@ -258,6 +261,21 @@ def _transfer_told_wrong(task, first, leave, promised, given) -> list:
     other = explain.other_transfer(first, promised, leave)
     why = other and agreement.transfer_told(first.problem, task.transfer, other[1])
     return why if why and _suffices_alone(task, given(), _alone(task, other[0])) else []
+
+
+def _references_told_wrong(task, first, leave, most) -> list:
+    """[Why] of reflectances that are told, where others bring more than any cause promises and leave nothing else."""
+    told = agreement.references_told(first.problem)
+    if not told or most < enough(first.problem):
+        return []
+    free = agreement.with_references_freed(first)
+    if leave.response and first.kind == "gamma":
+        free = max(free, responses.under_srgb(free), key=lambda c: c.evidence.nats)
+    gain, numbers = free.evidence.nats - first.evidence.nats, len(told) * first.result.state.rho.shape[1]
+    if gain < max(most, enough(first.problem, numbers)):
+        return []
+    other = _alone(task, free)
+    return agreement.references_of(first.problem, other.result, gain) if agreement.fits(other.result) else []
 
 
 def _lamps_told_wrong(task, first, leave, promised, given) -> list:

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lib.given import jpeg
+
 RAYS = 400  # from the camera all around
 TRIES = 8_000_000  # pairs of rays and triangles that a second allows
 NEAR_M = 0.05  # a lamp whose front looks at something nearer than that shines into it
@@ -197,6 +199,8 @@ def _photograph(photograph, turned, lamp):
     text = f"{size}, uses {low:.2f} to {high:.2f} of its range"
     dark = high - low < FLAT
     yield Finding("photograph", text + (": expose longer, or light the room more evenly" if dark else ""), dark)
+    if photograph.lost_tables:
+        yield Finding("photograph", jpeg.NO_TABLES, True)
     if clipped > CLIPPED:
         yield Finding(
             "photograph",

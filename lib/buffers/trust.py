@@ -75,8 +75,19 @@ def _margins(edges, margin_px, blocks):
 
 
 def in_blocks(edges, blocks):
-    """(H, W) bool: the block of pixels holds an edge. blocks : jpeg.Blocks"""
-    starts = [np.unique([0, *range(first, n, blocks.px)]) for first, n in zip(blocks.first, edges.shape, strict=True)]
+    """(H, W) bool: the block of pixels holds an edge, or may hold one where nobody knows how blocks lie.
+
+    blocks : jpeg.Blocks
+    """
+    if blocks.first is None:
+        import cv2
+
+        reach = 2 * int(np.ceil(blocks.px)) - 1
+        return cv2.dilate(edges.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
+    starts = [
+        np.unique([0, *np.rint(np.arange(first, n - 0.5, blocks.px)).astype(int)])
+        for first, n in zip(blocks.first, edges.shape, strict=True)
+    ]
     held = np.logical_or.reduceat(np.logical_or.reduceat(edges, starts[0], axis=0), starts[1], axis=1)
     for axis, start in enumerate(starts):
         held = held.repeat(np.diff(start, append=edges.shape[axis]), axis=axis)

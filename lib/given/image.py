@@ -23,6 +23,7 @@ ENOUGH = 300_000  # pixels that tell of the noise
 _OF_SECOND = 6.0
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF"}  # as Pillow names them
 MOST_CHANNELS = 8  # of an EXR
+JPEG_KEY = "anasyn jpeg"  # of a text in a PNG: the JPEG that it was made of
 OTHER_COLOURS = ("CMYK", "LAB", "YCbCr", "HSV")  # modes of Pillow that are no R, G, B. A JPEG's YCbCr comes as RGB
 
 
@@ -36,7 +37,7 @@ class Photograph:
     values : (H, W, C) float64, C = 1 or 3; display-referred in [0, 1], or linear light (EXR) that may exceed 1
     bits : 8, 16, or 0 for EXR          linear : True for EXR
     channels_in_file : 1 or 3.  Three equal channels become C = 1; alpha is dropped
-    blocks : of a JPEG, else None
+    blocks : of a JPEG, or of one that this was made of, else None
     """
 
     values: np.ndarray
@@ -54,6 +55,11 @@ class Photograph:
     def ringing(self) -> float:
         """Standard deviation of what JPEG adds to a pixel at an edge (display); 0 of other files."""
         return self.blocks.edge_noise if self.blocks else 0.0
+
+    @cached_property
+    def lost_tables(self) -> bool:
+        """Was it a JPEG, of which nobody knows the tables any more?"""
+        return self.blocks is None and not self.linear and jpeg.shows_blocks(self.values)
 
     @property
     def black(self) -> np.ndarray:
@@ -130,11 +136,26 @@ def read_photograph(path) -> Photograph:
     in_file = values.shape[2]
     if in_file == 3 and (values[..., :1] == values).all():
         values = values[..., :1]
-    data = bounded.content(path) if path.lower().endswith((".jpg", ".jpeg")) else b""
-    blocks = jpeg.blocks(data)
-    if blocks is not None:
-        blocks = blocks._replace(first=_first_block(values.shape, blocks.px, turn))
+    blocks = None
+    if path.lower().endswith((".jpg", ".jpeg")):
+        blocks = jpeg.blocks(bounded.content(path))
+        if blocks is not None:
+            blocks = blocks._replace(first=_first_block(values.shape, blocks.px, turn))
+    elif path.lower().endswith(".png"):
+        blocks = jpeg.of_text(picture_files.text_of_png(bounded.content(path), JPEG_KEY))
     return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file, blocks)
+
+
+def write_photograph(path, photograph):
+    """As a 16-bit PNG that keeps what is known of the JPEG it was made of, or as an EXR where it is linear."""
+    values = photograph.values
+    if photograph.linear:
+        write_exr(path, np.maximum(values, 0))
+        return
+    write_png16(path, np.rint(np.clip(values, 0, 1) * 65535).astype(np.uint16))
+    if photograph.blocks:
+        content = Path(path).read_bytes()
+        Path(path).write_bytes(picture_files.with_text(content, JPEG_KEY, photograph.blocks.text))
 
 
 # EXIF's orientations: axes swapped, then rows, then columns reversed

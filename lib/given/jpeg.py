@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import NamedTuple
 
 import numpy as np
@@ -9,22 +10,39 @@ import numpy as np
 SHARED_PX = 16  # side of the block that shares its error, where chroma is halved
 OF_CHROMA = np.array([1.402, np.hypot(0.344, 0.714), 1.772])  # Cb and Cr in R, G, B
 TO_RGB = float((OF_CHROMA**2).mean())
+SMOOTH, STEPS, SURE = 0.03, 0.06, 4.0  # steps that are no edge; how much larger they are between blocks; in sigmas
+NO_TABLES = (
+    "its pixels come in blocks of 8, as those of a JPEG that was stored anew: give the JPEG itself, whose tables say "
+    "how its colours were rounded; standard deviations lack that"
+)
 
 
 class Blocks(NamedTuple):
     """Squares of pixels that are coded together.
 
-    px : side;  first : (y, x) corner of the first whole one
+    px : side, not whole in a smaller photograph;  first : (y, x) corner of the first whole one; None: they lie anyhow
     noise : standard deviation (display) of what rounding adds to all pixels of one
     edge_noise : of what it adds to a pixel where an edge runs through its block: ringing, and colours that run over
     colour : (C,) of what all blocks of one colour have in common
     """
 
-    px: int
+    px: float
     noise: float
     edge_noise: float
     colour: np.ndarray
-    first: tuple = (0, 0)
+    first: tuple | None = (0, 0)
+
+    def smaller(self, k) -> Blocks:
+        """Of the photograph whose pixels are means of k x k: what all pixels of a block share stays."""
+        ringing = np.sqrt(self.noise**2 + (self.edge_noise**2 - self.noise**2) / k**2)
+        first = self.first and tuple(n / k for n in self.first)
+        return self._replace(px=max(1.0, self.px / k), edge_noise=float(ringing), first=first)
+
+    @property
+    def text(self) -> str:
+        """What `of_text` reads: a PNG made of a JPEG carries it."""
+        first = [] if self.first is None else list(self.first)
+        return json.dumps([self.px, self.noise, self.edge_noise, *self.colour, *first, len(first)])
 
 
 def blocks(data: bytes) -> Blocks | None:
@@ -45,6 +63,42 @@ def blocks(data: bytes) -> Blocks | None:
     rounded = np.hypot(chroma[0] / 8, 1) * OF_CHROMA
     colour = np.sqrt((rounded**2 + 1) / 12) / 255 if len(tables) > 1 else np.zeros(1)
     return Blocks(_side(data), noise(luma[:3], chroma[:3]), noise(luma, chroma), colour)
+
+
+def shows_blocks(values) -> bool:
+    """Whether neighbours differ more where blocks of 8 px meet, along both axes: a JPEG, whatever the file is now.
+
+    values : (H, W, C) display.  Eleven photographs: never where it was no JPEG, always at quality 75 and 90, ten at 95
+    """
+    grey = values.mean(axis=2)
+    return all(_steps_at_blocks(across) for across in (grey, grey.T))
+
+
+def _steps_at_blocks(grey):
+    step = np.abs(np.diff(grey, axis=1))
+    smooth = step < SMOOTH
+    mean = (step * smooth).sum(axis=0) / np.maximum(smooth.sum(axis=0), 1)
+    mean = mean[: len(mean) // 8 * 8].reshape(-1, 8)
+    if len(mean) < 8:
+        return False
+    mean = mean / np.maximum(mean.mean(axis=1, keepdims=True), 1e-12)
+    by_phase, sigma = mean.mean(axis=0), mean.std(axis=0) / np.sqrt(len(mean))
+    k = int(by_phase.argmax())
+    more = by_phase[k] - np.delete(by_phase, k).mean()
+    return bool(more > STEPS and more > SURE * np.hypot(sigma[k], np.delete(sigma, k).mean()))
+
+
+def of_text(text) -> Blocks | None:
+    """Of what `Blocks.text` wrote; None where these are not such numbers."""
+    try:
+        *numbers, at = map(float, json.loads(text))
+        px, noise, edge_noise, *colour = numbers[: len(numbers) - int(at)]
+        first = tuple(numbers[len(numbers) - 2 :]) if at else None
+    except (ValueError, TypeError):
+        return None
+    sound = all(0 <= n < 1 for n in (noise, edge_noise, *colour)) and 1 <= px <= 64 and at in (0, 2)
+    sound &= first is None or all(0 <= n <= px for n in first)
+    return Blocks(px, noise, edge_noise, np.array(colour), first) if sound and len(colour) in (1, 3) else None
 
 
 def _side(data):

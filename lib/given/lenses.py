@@ -13,7 +13,7 @@ s4).
 
 import math
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -273,6 +273,12 @@ def source(lens, camera):
     if not (np.isfinite(q).all() and (q >= -1e-3).all() and (q <= size + 1e-3).all()):
         raise BadInput(f"{lens.path}: intrinsics: the lens folds back inside the pinhole's picture")
     return np.clip(q, 0, size)
+
+
+def straightened(photograph, lens, camera, k=1):
+    """image.Photograph through the pinhole; where the blocks of a JPEG lie is then not known.  k : as in `resample`"""
+    blocks = photograph.blocks and photograph.blocks._replace(first=None)
+    return replace(photograph, values=resample(photograph.values, lens, camera, k), blocks=blocks)
 
 
 def resample(values, lens, camera, k=1):

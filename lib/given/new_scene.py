@@ -93,13 +93,8 @@ def _photograph(path, photograph, megapixels):
 def _smaller(path, content, k):
     """Writes it beside, in the place of the copy; its path."""
     path.unlink()
-    values = reduced.picture(content.values, k)
     path = path.with_suffix(".exr" if content.linear else ".png")
-    if content.linear:
-        image.write_exr(path, values)
-    else:
-        values = np.round(65535 * values).astype(np.uint16)
-        image.write_png16(path, values[..., 0] if values.shape[2] == 1 else values)
+    image.write_photograph(path, reduced.photograph(content, k))
     return path
 
 

@@ -193,3 +193,24 @@ def _unpacked(path, packed, most):
     if there <= most and not unpacker.eof:
         raise BadInput(f"{path}: damaged: the data end before their checksum")
     return there
+
+
+# ---- texts in a PNG ----
+
+
+def with_text(content, key, text) -> bytes:
+    """A PNG with one more text, behind its header of 33 bytes."""
+    data = b"tEXt" + key.encode("latin-1") + b"\0" + text.encode("latin-1")
+    return content[:33] + struct.pack(">I", len(data) - 4) + data + struct.pack(">I", zlib.crc32(data)) + content[33:]
+
+
+def text_of_png(content, key) -> str:
+    """The text under a key, where it stands before the pixels; else ""."""
+    at, wanted = 8, key.encode("latin-1") + b"\0"
+    while at + 12 <= len(content) and content[at + 4 : at + 8] != b"IDAT":
+        (length,) = struct.unpack(">I", content[at : at + 4])
+        data = content[at + 8 : at + 8 + length]
+        if content[at + 4 : at + 8] == b"tEXt" and data.startswith(wanted):
+            return data[len(wanted) :].decode("latin-1")
+        at += 12 + length
+    return ""

@@ -32,6 +32,13 @@ def picture(values, k) -> np.ndarray:
     return values[: k * height, : k * width].reshape(height, k, width, k, -1).mean(axis=(1, 3))
 
 
+def photograph(taken, k):
+    """image.Photograph k times smaller; itself where k is 1."""
+    if k == 1:
+        return taken
+    return replace(taken, values=picture(taken.values, k), blocks=taken.blocks and taken.blocks.smaller(k))
+
+
 def place(q, k):
     """Where pixel coordinates lie then: centres of pixels are whole numbers before and after.
 

@@ -11,7 +11,7 @@ the model's line in the picture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import lgamma
 
 import numpy as np
@@ -24,6 +24,7 @@ STEP = 1e-6  # of a parameter, for derivatives
 FOCAL_STARTS = (0.8, 1.2, 2.0)  # over the picture's larger side, where it is unknown
 MOST_WRONG = 0.6  # of what was picked
 CHANCE = 10.0  # nats by which the right ones must beat chance, where some are wrong
+LEAST_MISREAD = 6  # points: fewer agree with some camera whatever they are
 FEW, COARSE = 5, 2.0  # places with an unknown focal length that check nothing;  factor worth a word
 WRONG = 0.5  # probability of being wrong, from which it is an outlier
 LARGEST_FACTOR = 6.0  # of the noise over what the file says
@@ -88,6 +89,14 @@ def warnings(found: Found, names, focal_known) -> list[str]:
 def solve(picks: Picks, camera: Camera, focal_known: bool) -> Found:
     """camera : its K, but for an unknown focal length, and its size count.  BadInput: too few, or places that do not
     tell the pose."""
+    try:
+        return _solved(picks, camera, focal_known)
+    except BadInput as bad:
+        why = misread(picks, camera, focal_known)
+        raise BadInput(f"{bad}; {why}" if why else str(bad)) from None
+
+
+def _solved(picks, camera, focal_known):
     n = len(picks.p) + len(picks.p_ends)
     if n < LEAST:
         raise BadInput(f"{n} picked place{'s' * (n != 1)}: at least {LEAST} are needed")
@@ -103,6 +112,37 @@ def solve(picks: Picks, camera: Camera, focal_known: bool) -> Found:
         share = f"{(~best.outlier).sum()} of {len(best.outlier)}"
         raise BadInput(f"only {share} picked places agree with any one camera, which so many may do by chance")
     return best.found(fits[1:])
+
+
+def misread(picks: Picks, camera: Camera, focal_known: bool, than: Found | None = None) -> str | None:
+    """How pixels may be meant if one camera then sees all places where they were picked, and it does not as they stand.
+
+    than : what was found, which must have left some out, or be several times less exact than the picks say
+    """
+    if len(picks.p) < LEAST_MISREAD or than is not None and than.factor < COARSE and not than.outlier.any():
+        return None
+    width, height = camera.width, camera.height
+    x, y = picks.q.T
+    readings = {
+        "x_px and y_px are swapped": (y, x),
+        "y_px is counted from the bottom, or two of X, Y, Z are swapped": (x, height - 1 - y),
+        "the picture was turned by a quarter": (width - 1 - y, x),
+        "the picture was turned by a quarter the other way": (y, height - 1 - x),
+    }
+    for k in (2, 3, 4):
+        readings[f"the picture was {k} times smaller"] = k * (x + 0.5) - 0.5, k * (y + 0.5) - 0.5
+        readings[f"the picture was {k} times larger"] = (x + 0.5) / k - 0.5, (y + 0.5) / k - 0.5
+    fits = {}
+    for words, q in readings.items():
+        told = replace(picks, q=np.stack(q, axis=1))
+        if ((told.q > -1) & (told.q < (width, height))).all():
+            starts = _starts(told, camera, focal_known)
+            tried = [_Fit(told, camera, focal_known, *start).climbed() for start in starts]
+            sound = [fit for fit in tried if fit.is_sound and not fit.outlier.any() and fit.factor < COARSE]
+            fits |= {words: max(fit.likelihood for fit in sound)} if sound else {}
+    if not fits:
+        return None
+    return f"all {len(picks.p)} points would agree with one camera if {max(fits, key=fits.get)}"
 
 
 def _check_spread(picks):

@@ -32,7 +32,7 @@ def refined(found: Found, picks, model, photograph, focal_known) -> tuple[Found,
     told = Recognition((start,), "unique", "picked places", np.zeros(0), {})
     k = reduced.times((found.camera.width, found.camera.height), MEGAPIXELS)
     small = reduced.pinhole(found.camera, k)
-    seen = replace(photograph, values=reduced.picture(photograph.values, k)) if k > 1 else photograph
+    seen = reduced.photograph(photograph, k)
     lens_px = LENS_PX if focal_known else CENTRE_PART * small.width
     result = refine(model, [Side(small, seen)], told, lens_px=lens_px, is_zoom=not focal_known)
     camera = replace(found.camera, K=reduced.whole(result.cameras[0].K, k), T_cam_world=result.cameras[0].T_cam_world)

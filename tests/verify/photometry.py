@@ -196,6 +196,25 @@ def wrong_lamp(times):
 
 @walk(
     PART,
+    "a reference told wrongly",
+    law="named, or no value 4.5 sigma off; right ones are not accused",
+    axis="rho told for .7",
+    at=[0.3, 0.5, 0.65, 0.68, 0.7, 0.72, 0.75, 0.9],
+    short=[1, 4, 6],
+)
+def wrong_reference(rho):
+    """Beside a told lamp. A group that is told claims nothing of its own."""
+    materials, report = fitted(studio().linear, POWER, reference={"north": [rho] * 3})
+    told = materials["groups"].pop("north")
+    found, accused = judged(materials, report), [w["subject"] for w in materials["why"] or []]
+    right = (
+        accused in ([], ["north"]) and (not accused or rho != PAINTS["north"]) and told["identified"] != bool(accused)
+    )
+    return found._replace(error=found.error if right else np.inf)
+
+
+@walk(
+    PART,
     "transfer told wrongly",
     law="named, or nothing 4.5 sigma off; what the picture hardly shows is a fact",
     at=["linear", "gamma 2.0", "gamma 2.1", "srgb", "gamma 2.2"],
