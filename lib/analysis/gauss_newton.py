@@ -193,7 +193,10 @@ def fit(problem: Problem, **options):
     if fixed_by == "interreflection" and len(problem.tile_group) and _is_loose(problem, result):
         emittance = np.where(problem.own_lamps[:, None], 1.0, problem.emittance)
         result = gauss_newton(replace(problem, emittance=emittance), **options)
-        result.warnings.append("interreflection is too weak here to fix the scale: emittance 1 by convention")
+        result.warnings.append(
+            "interreflection is too weak here to fix the scale: lamps of unknown emittance are taken as 1, and all "
+            "else is right up to one factor: give an emittance, or a reference"
+        )
         fixed_by = "convention"
     return result, fixed_by
 

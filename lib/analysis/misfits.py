@@ -278,7 +278,11 @@ def doubt(problem: Problem, result: Result, found, threshold, given, places=None
         elif m.judged:
             brightness = np.maximum(slope(B[g : g + 1])[0] * B[g], 1e-9)
             wide = np.minimum(m.excess / brightness, 1) * rho
-            why = "which scene.yaml says it is" if given.get(g) == "diffuse" else "and no rung explains it"
+            why = (
+                "which scene.yaml says it is"
+                if given.get(g) == "diffuse"
+                else "and no mirror, lobe or texture explains it"
+            )
             result.warnings.append(f"{said}, {why}; its sigma is widened")
         else:
             wide = np.maximum(rho, 0.02)

@@ -123,13 +123,20 @@ def _torn(model):
 
 
 def _seen_from_behind(model, camera, facet, boxes):
-    """Objects whose backs the camera sees: a solid ever, an open object that is not flat from everywhere."""
+    """Objects whose backs the camera sees: a solid ever, an open object that is not flat from everywhere.
+
+    Not the room that it stands in: one made of a cube has its faces outwards, and both sides of a wall are lit.
+    """
     behind = model.facet_normal @ camera.centre < model.facet_offset
     pixels = np.bincount(facet[facet >= 0], minlength=model.n_facets)
     count = lambda weight: np.bincount(model.facet_object, weight, len(model.objects))
     seen, backs = count(pixels), count(pixels * behind)
     few = np.where(model.closed_objects, 0.01, BEHIND)
     wrong = (backs >= 20) & (backs > few * seen) & (model.closed_objects | ~_flat(model, boxes))
+    low, high = np.full((len(seen), 3), np.inf), np.full((len(seen), 3), -np.inf)
+    np.minimum.at(low, model.facet_object, boxes.low)
+    np.maximum.at(high, model.facet_object, boxes.high)
+    wrong &= ~(model.closed_objects & ((low < camera.centre) & (camera.centre < high)).all(axis=1))
     if wrong.any():
         told = _listed([repr(model.objects[i]) for i in np.flatnonzero(wrong)])
         yield f"the camera sees only the backs of faces that should show their fronts: {told} may be inside out"

@@ -11,12 +11,12 @@ from lib.verdict.page import html, plots
 STYLE = """
 main { max-width: 1080px; margin: 0 auto; padding: 1rem }
 .walk { display: flex; flex-wrap: wrap; gap: 1.5rem; align-items: flex-start; margin-bottom: 1.5rem }
-.walk table { flex: 1 1 480px; width: auto } .walk > div { flex: 0 0 420px }
+.walk > * { max-width: 100%; overflow-x: auto } .walk > div { flex: 1 1 480px } .walk > div + div { flex: 0 1 420px }
 td, th { padding: .1rem .6rem; text-align: right }
 td:first-child, td:last-child { text-align: left }
 .broken td { background: #c0392b; color: white } .law { opacity: .75 } h2 { margin-top: 2rem } h3, .law { margin: 0 }
 """
-COLUMNS = ("place", "value", "truth", "error", "bound", "iterations", "CPU s", "")
+COLUMNS = ("place", "value", "truth", "error", "bound", "iterations", "CPU s", "said")
 
 
 def write(path, results, cpu_s):
@@ -45,7 +45,8 @@ def _walk(walk, points):
     head = "".join(f"<th>{name}</th>" for name in COLUMNS)
     rows = "".join(_row(point) for point in points)
     law = f'<h3>{escape(html.sentence(walk.name))}</h3><p class="law">{escape(html.sentence(walk.law))}</p>'
-    return f'{law}<div class="walk"><table><tr>{head}</tr>{rows}</table>{_curve(walk, points)}</div>'
+    table = f'<div tabindex="0"><table><tr>{head}</tr>{rows}</table></div>'
+    return f'{law}<div class="walk">{table}{_curve(walk, points)}</div>'
 
 
 def _row(point):
