@@ -62,8 +62,9 @@ class Caster:
         return self._scene.test_occlusions(self._tensor(rays), 0.0, far).numpy()
 
     def crossings(self, rays):
-        """How many triangles each ray crosses, (n,) int: odd from inside a closed surface."""
-        return self._scene.count_intersections(self._tensor(np.ascontiguousarray(rays, np.float32))).numpy()
+        """All that rays (n, 6) cross: (k,) numbers of rays, (k,) triangles. Of triangles that coincide one is named."""
+        met = self._scene.list_intersections(self._tensor(np.ascontiguousarray(rays, np.float32)))
+        return met["ray_ids"].numpy().astype(np.int64), met["primitive_ids"].numpy().astype(np.int64)
 
     def winding(self, rays, turn, facet, normal):
         """How many solids each ray starts in, (n,) int: it leaves one more of them than it enters.
@@ -71,9 +72,8 @@ class Caster:
         rays : (n, 6) float32;  turn : (F,), see `overlap` of lib/light/surface.py;  facet : (T,) facet of each triangle
         normal : (F, 3)
         """
-        met = self._scene.list_intersections(self._tensor(np.ascontiguousarray(rays, np.float32)))
-        ray = met["ray_ids"].numpy().astype(np.int64)
-        f = facet[met["primitive_ids"].numpy().astype(np.int64)]
+        ray, triangle = self.crossings(rays)
+        f = facet[triangle]
         leaves = np.sign(np.einsum("ij,ij->i", rays[ray, 3:], normal[f])) * turn[f]
         return np.rint(np.bincount(ray, leaves, len(rays))).astype(int)
 

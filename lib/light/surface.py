@@ -133,7 +133,7 @@ def _inside(model, lids, corners, facet, normal, lamp_facet):
     for obj in np.flatnonzero(model.solid_objects()):
         mine = np.flatnonzero(model.facet_object == obj)
         faces = [p for of, p in lids if of == obj]
-        solid = Caster(np.concatenate([apart[np.isin(facet, mine)], *faces]))
+        solid = np.concatenate([apart[np.isin(facet, mine)], *faces])
         # a lamp that lies on a lid may shine in from a little way outside
         heights = (4 * OFFSET, 2 * NEAR) if faces else (4 * OFFSET,)
         if len(lit) and any(_enclosed(solid, middle[lit] + height * normal[lit]).any() for height in heights):
@@ -166,18 +166,36 @@ def _places(corners, facet, which, number):
 
 
 def _apart(corners, facet, normal):
-    """(T, 3, 3): corners with each facet a part of a ray's offset outwards, no two by the same.
+    """(T, 3, 3): corners with each facet a part of a ray's offset outwards, those in one plane by different parts.
 
     Open3D counts one crossing where two facets coincide: the end of a shelf and the side board that it abuts.
     """
-    part = 0.3 + 0.4 * (0.6180339887 * np.arange(len(normal)) % 1.0)
+    there, first = np.unique(facet, return_index=True)
+    turn = np.where(normal[there] @ RAYS_OUT[0] < 0, -1.0, 1.0)[:, None]
+    height = np.einsum("ij,ij->i", corners[first, 0], normal[there])[:, None]
+    _, plane = np.unique(np.rint(np.hstack([normal[there], height]) * turn / OFFSET), axis=0, return_inverse=True)
+    order = np.argsort(plane, kind="stable")
+    rank = np.empty(len(there), int)
+    rank[order] = np.arange(len(there)) - np.searchsorted(plane[order], plane[order])
+    part = np.zeros(len(normal))
+    part[there] = 0.2 + 0.1 * (rank % 8)
     return corners + (OFFSET * part[:, None] * normal)[facet][:, None, :]
 
 
-def _enclosed(solid: Caster, points):
-    """(n,) bool: points (n, 3) inside a closed surface: most of the rays from there cross it an odd number of times."""
-    odd = [solid.crossings(np.hstack([points, np.broadcast_to(out, points.shape)])) % 2 for out in RAYS_OUT]
-    return np.sum(odd, axis=0) * 2 > len(RAYS_OUT)
+def _enclosed(solid, points):
+    """(n,) bool: points (n, 3) inside closed surfaces, which may touch and run through each other.
+
+    solid : (T, 3, 3) local. Rays leave one more surface than they enter; where three do not say the same, since some
+    polygons are turned the wrong way, most of them cross an odd number of polygons.
+    """
+    caster, n = Caster(solid), len(points)
+    normal = np.cross(solid[:, 1] - solid[:, 0], solid[:, 2] - solid[:, 0])
+    left, odd = np.zeros((len(RAYS_OUT), n)), np.zeros((len(RAYS_OUT), n))
+    for k, out in enumerate(RAYS_OUT):
+        ray, triangle = caster.crossings(np.hstack([points, np.broadcast_to(out, points.shape)]))
+        left[k] = np.bincount(ray, np.sign(normal[triangle] @ out), n)
+        odd[k] = np.bincount(ray, minlength=n) % 2
+    return np.where((left == left[0]).all(axis=0), left[0] != 0, odd.mean(axis=0) > 0.5)
 
 
 def _overlap(corners, facet, objects, inside):
