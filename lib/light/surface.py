@@ -131,14 +131,15 @@ def _inside(model, lids, corners, facet, normal, lamp_facet):
     lit = np.setdiff1d(np.flatnonzero(lamp_facet), absent)
     apart = _apart(corners, facet, normal)
     for obj in np.flatnonzero(model.solid_objects()):
-        mine = np.flatnonzero(model.facet_object == obj)
+        mine = np.intersect1d(np.flatnonzero(model.facet_object == obj), there)
+        if not len(mine):
+            continue  # it is not there
         faces = [p for of, p in lids if of == obj]
         solid = np.concatenate([apart[np.isin(facet, mine)], *faces])
         # a lamp that lies on a lid may shine in from a little way outside
         heights = (4 * OFFSET, 2 * NEAR) if faces else (4 * OFFSET,)
         if len(lit) and any(_enclosed(solid, middle[lit] + height * normal[lit]).any() for height in heights):
             continue  # a room: the lamp shines inside it
-        mine = np.intersect1d(mine, there)
         places = _places(corners, facet, mine, max(1, min(PLACES, MOST_PLACES // len(mine))))
         for back in (0, 1):
             above = places + (1 - 2 * back) * 4 * OFFSET * normal[mine]
