@@ -19,7 +19,7 @@ PYTHON := .venv/bin/python
 PYTHON3 ?= python3
 INSTALL := -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r
 
-TARGETS := all plan new-scene check lint test test-slow verify verify-long bench scenes doctor help clean setup demo
+TARGETS := all plan new-scene check lint test test-slow verify verify-long bench scenes docs doctor help clean setup demo
 GOALS := $(or $(MAKECMDGOALS),demo)
 # Make takes ':' in a name for a rule, and blanks for two names
 define scenes
@@ -105,6 +105,13 @@ scenes: .venv-scenes/ready
 	@sed -n 's,^ *\(stages/synthesise.py .*\),\1,p' data/$(ONLY)/origin.md | while read -r words; do \
 	  echo "$$words"; .venv-scenes/bin/python $$words; done
 
+# The pages as a site; a link that leads nowhere ends it.  The sources are copied, since links go from page to page as here
+docs: .venv-docs/ready
+	@rm -rf build/docs-src && mkdir -p build/docs-src
+	@git ls-files -z -- '*.md' 'docs/*' pipeline.yaml Containerfile LICENSE CITATION.cff .ci/run | xargs -0 cp --parents -t build/docs-src
+	@.venv-docs/bin/mkdocs build --strict > build/docs.log 2>&1 || { grep -E '^(WARNING|ERROR)' build/docs.log >&2; exit 1; }
+	@echo "file://$(CURDIR)/build/docs/index.html"
+
 clean:
 	rm -rf -- "$(BUILD)"
 
@@ -124,6 +131,7 @@ help:
 	  'make bench              error against run time, as CSV and plots' \
 	  'make doctor             what is installed, and what to do about what is not' \
 	  'make scenes             make the synthetic scenes again (installs Mitsuba in .venv-scenes)' \
+	  'make docs               README and docs/ as a site in build/docs, by MkDocs (installed in .venv-docs)' \
 	  'make clean              remove $(BUILD)/' \
 	  'DATA=folder BUILD=folder    other scenes, other outputs;  -n says what would run;  -j<n> runs side by side' \
 	  'scenes: $(SCENES)' \
@@ -160,6 +168,11 @@ setup: .venv/ready
 .venv-exports/ready: requirements-exports.lock
 	$(PYTHON3) -m venv .venv-exports
 	.venv-exports/bin/python $(INSTALL) requirements-exports.lock
+	@touch $@
+
+.venv-docs/ready: requirements-docs.lock
+	$(PYTHON3) -m venv .venv-docs
+	.venv-docs/bin/python $(INSTALL) requirements-docs.lock
 	@touch $@
 
 .venv-scenes/ready: requirements-scenes.lock

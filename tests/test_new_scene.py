@@ -2,18 +2,20 @@
 
 import base64
 import json
+import sys
 
 import cv2
 import numpy as np
 import pytest
 
-from lib.given import cameras, fspy, image, picks
+from lib.core.stage import BadInput
+from lib.given import cameras, foreign_models, fspy, image, picks
 from lib.given import model as models
 from lib.given.model.glb_writer import write_glb
 from lib.planning import scene as scenes
 from lib.planning.pipeline import read_pipeline
 from lib.planning.walk import walk
-from tests.helpers import rooms
+from tests.helpers import consumers, rooms
 from tests.helpers.mistakes import HEIGHT, WIDTH, camera, picture
 
 EVERYTHING = {**rooms.room(), **rooms.LAMP}
@@ -269,3 +271,98 @@ def test_a_project_of_fspy_in_the_folder_is_the_pose(new, root, run):
     assert np.allclose(again.T_cam_world, posed.T_cam_world) and np.allclose(again.K, posed.K)
     (folder / "pose.csv").write_text("x_px,y_px,X,Y,Z\n")
     assert any("only one of them may tell the pose" in line for line in scenes.read(folder, stages).problems)
+
+
+# ---- USD ----
+
+USD = """#usda 1.0
+( metersPerUnit = 0.01
+  upAxis = "Y" )
+def Xform "Room" {
+    double3 xformOp:translate = (100, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Mesh "Floor" ( prepend apiSchemas = ["MaterialBindingAPI"] ) {
+        point3f[] points = [(0, 0, 0), (400, 0, 0), (400, 0, 300), (0, 0, 300), (0, 250, 0), (400, 250, 0)]
+        int[] faceVertexCounts = [4, 4]
+        int[] faceVertexIndices = [3, 2, 1, 0, 0, 1, 5, 4]
+        rel material:binding = </Looks/Wood>
+        def GeomSubset "back" ( prepend apiSchemas = ["MaterialBindingAPI"] ) {
+            uniform token elementType = "face"
+            int[] indices = [1]
+            rel material:binding = </Looks/Wall>
+        }
+    }
+    def Mesh "Hidden" {
+        point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        token visibility = "invisible"
+    }
+    def Mesh "Panel" ( prepend apiSchemas = ["MaterialBindingAPI"] ) {
+        point3f[] points = [(100, 240, 100), (200, 240, 100), (200, 240, 200)]
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        uniform token orientation = "leftHanded"
+        rel material:binding = </Looks/Glow>
+    }
+    def SphereLight "Bulb" {
+        float inputs:intensity = 3
+    }
+    SHAPE
+}
+def Scope "Looks" {
+    def Material "Wood" {
+    }
+    def Material "Wall" {
+    }
+    def Material "Glow" {
+        def Shader "s" {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:emissiveColor = (1, 1, 1)
+        }
+    }
+}
+"""
+
+
+@pytest.mark.outside
+def test_usd_by_its_own_package(tmp_path):
+    """Metres by its unit, a group for each material, left-handed faces turned, hidden meshes left out."""
+    if why := consumers.absent("pxr"):
+        pytest.skip(why)
+    (tmp_path / "model.usda").write_text(USD.replace("SHAPE", ""))
+    parts, emits, said = consumers.ask("usd_model", tmp_path)
+    assert [part[:2] for part in parts] == [["Floor", "Wood"], ["Floor", "Wall"], ["Panel", "Glow"]]
+    corners = [[part[2][k] for k in face] for part in parts for face in part[3]]
+    np.testing.assert_allclose(corners[0], [(1, 0, 3), (5, 0, 3), (5, 0, 0), (1, 0, 0)], atol=1e-6)
+    np.testing.assert_allclose(corners[1], [(1, 0, 0), (5, 0, 0), (5, 2.5, 0), (1, 2.5, 0)], atol=1e-6)
+    np.testing.assert_allclose(corners[2], [(3, 2.4, 2), (3, 2.4, 1), (2, 2.4, 1)], atol=1e-6)
+    assert emits == {"Glow": True} and "0.01 m to its unit" in said[0] and "Bulb" in " ".join(said)
+    (tmp_path / "model.usda").write_text(USD.replace("SHAPE", 'def Sphere "Ball" {\n}'))
+    (line,) = consumers.ask("usd_model", tmp_path)
+    assert "shapes that are not read: Ball (Sphere)" in line
+    (tmp_path / "model.usda").write_text("#usda 1.0\n(")
+    (line,) = consumers.ask("usd_model", tmp_path)
+    assert "not readable" in line
+
+
+def test_usd_becomes_an_obj_with_its_lamps(tmp_path, monkeypatch):
+    square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)
+    read = (
+        [("a", "paint", square, [(0, 1, 2, 3)]), ("b", "glow", square + 1, [(0, 1, 2, 3)])],
+        {"glow": True},
+        ["USD"],
+    )
+    monkeypatch.setattr(foreign_models.usd_models, "read", lambda path: read)
+    (tmp_path / "room.usdc").write_bytes(b"PXR-USDC")
+    files, said = foreign_models.convert(tmp_path / "room.usdc")
+    assert foreign_models.emitters(files) == ["glow"] and said == ["USD"]
+    (tmp_path / "model.obj").write_bytes(files["model.obj"])
+    assert models.load(tmp_path / "model.obj").groups == ("paint", "glow")
+
+
+def test_usd_without_its_package_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    (tmp_path / "room.usda").write_text(USD)
+    with pytest.raises(BadInput, match="its package is not installed: .* pip install usd-core, or export OBJ or GLB"):
+        foreign_models.convert(tmp_path / "room.usda")

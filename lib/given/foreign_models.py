@@ -1,5 +1,5 @@
 """Models in other formats, made what a scene's folder may hold: OBJ and GLB stay as they are, glTF becomes one GLB,
-PLY and STL an OBJ of one group, shapes of a Mitsuba scene an OBJ with a group for each material.
+PLY and STL an OBJ of one group, shapes of a Mitsuba scene and meshes of USD an OBJ with a group for each material.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
-from lib.given import strangers_files
+from lib.given import strangers_files, usd_models
 from lib.given.cameras import matrix_from_rt
 from lib.given.model.obj import read_obj
 
@@ -38,6 +38,10 @@ def convert(path) -> tuple[dict, list]:
         return {"model.obj": text}, [f"{kind} has no materials: everything is one group, {ONE_GROUP}"]
     if kind == "a Mitsuba scene":
         return {"model.obj": _Mitsuba(path, content).obj()}, []
+    if kind == "a USD file" or path.suffix.lower() == ".usdz":
+        parts, emits, said = usd_models.read(path)
+        lamps = "".join(f"newmtl {group}\nKe 1 1 1\n" for group in emits)
+        return {"model.obj": b"mtllib model.mtl\n" + _obj(parts), "model.mtl": lamps.encode()}, said
     if kind:
         raise BadInput(f"{path}: is {kind}: {strangers_files.way_out(kind)}")
     files, said = {"model.obj": content}, []

@@ -13,7 +13,7 @@ MARKS = {
     b"PXR-USDC": "a USD file",
     b"glTF": "a GLB file",
 }
-CONVERTED = ("a PLY file", "an STL file", "a glTF file", "a Mitsuba scene")  # by new-scene
+CONVERTED = ("a PLY file", "an STL file", "a glTF file", "a Mitsuba scene", "a USD file")  # by new-scene
 
 
 def kind_of(content: bytes) -> str | None:

@@ -163,6 +163,22 @@ def blender_cameras(folder, out):
     print(json.dumps(told))
 
 
+def usd_model(folder, out):
+    """What lib/given/usd_models.py reads of folder/model.usda: [object, group, points, faces], who emits, lines; or why
+    it does not."""
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+    from lib.core.stage import BadInput
+    from lib.given import usd_models
+
+    try:
+        parts, emits, said = usd_models.read(folder / "model.usda")
+    except BadInput as bad:
+        print(json.dumps(list(bad.problems)))
+        return
+    plain = [(o, g, p.tolist(), [list(map(int, face)) for face in faces]) for o, g, p, faces in parts]
+    print(json.dumps([plain, emits, said]))
+
+
 if __name__ == "__main__":
     kind, folder, out, *numbers = sys.argv[1:]
     globals()[kind](Path(folder).resolve(), Path(out), *map(int, numbers))
