@@ -237,6 +237,17 @@ def test_the_pose_is_told_in_the_pixels_of_a_large_photograph(folder):
     assert options(folder, "undistort")["lens-camera"] == told["lens"] == "left.cameramodel"
 
 
+def test_a_pose_that_is_told_beside_boards_is_in_the_pixels_of_the_lens(pair, monkeypatch):
+    monkeypatch.setitem(doctor.NEEDS, "mrcal", (lambda: True, "", None))
+    (pair / "boards").mkdir()
+    (pair / "pose.csv").write_text("x_px,y_px,X,Y,Z\n" + "".join(f"{k},{k * k},{k},0,1\n" for k in range(9)))
+    text = "board: {corners: [9, 6], square_m: 0.03}\nlamps: {lamp: [1, 1, 1]}\ngoals: [materials.json]\n"
+    assert chain(pair, text)[:2] == ["calibrate", "undistort"]
+    told = options(pair, "pose")
+    assert told["photograph"] == "left.pinhole.png" and told["lens"] == "left.cameramodel"
+    assert told["pinhole"] == "left.pinhole.cameramodel"
+
+
 def test_a_large_pair_without_cameras(pair):
     for side in files.SIDES:
         large(pair / f"{side}.png")

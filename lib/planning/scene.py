@@ -188,10 +188,10 @@ def views(scene, side) -> dict[str, str]:
     taken = photograph_of(side)
     given = scene.given(taken)
     flat = f"{side}.pinhole.exr" if given and given.suffix == ".exr" else f"{side}.pinhole.png"
-    anew = lens(scene, side) != PINHOLE or _is_large(scene, given)
-    bare = (
-        anew and side == "left" and scene.is_told and not scene.given(own)
-    )  # its camera has what the pose tells alone
+    bent = lens(scene, side) != PINHOLE
+    anew = bent or _is_large(scene, given)
+    # no lens is known but what a person tells of the pose
+    bare = anew and not bent and side == "left" and scene.is_told and not (scene.given(own) or scene.given("boards/"))
     known = anew and (bare or bool(scene.given(posed)))  # a pose and a lens: undistortion keeps both
     straight = f"{side}.pinhole.cameramodel" if anew else own
     pair = f"{side}.oriented.cameramodel" if unoriented(scene) else straight
