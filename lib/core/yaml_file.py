@@ -25,13 +25,16 @@ class _Loader(yaml.SafeLoader):
 
     def __init__(self, text):
         super().__init__(text)
-        self.depth, self.values = 0, {}
+        self.depth, self.values, self.composed = 0, {}, 0
 
     def compose_node(self, parent, index):
         event = self.peek_event()
         if getattr(event, "tag", None) is not None and event.tag not in self.allowed:
             tag = event.tag.replace(PLAIN, "!!")
             self.refuse(f"{tag:.40}: tags are not read: write the value alone", event)
+        self.composed += 1  # what is too long is not read to its end
+        if self.composed > MOST_VALUES:
+            self.refuse(f"more than {MOST_VALUES} values", event)
         self.depth += 1
         if self.depth > DEEPEST:
             self.refuse(f"lists and mappings lie more than {DEEPEST} deep in each other", event)
