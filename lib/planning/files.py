@@ -57,26 +57,33 @@ def export_kind(file) -> str | None:
 # ---- quick looks; where a file cannot be read, the stage that needs it says why ----
 
 
+def _kept(look):
+    """look(path), asked once of each version of a file; None where there is none."""
+    again = functools.lru_cache(lambda path, *_: look(path))
+
+    @functools.wraps(look)
+    def of_version(path):
+        try:
+            status = path.stat()
+        except OSError:
+            return None
+        return again(path, status.st_size, status.st_mtime_ns)
+
+    return of_version
+
+
+@_kept
 def pixels(photograph) -> int | None:
     """How many a picture has by its header, or None where that cannot be read."""
     try:
-        status = photograph.stat()
-    except OSError:
-        return None
-    return _pixels(photograph, status.st_size, status.st_mtime_ns)
-
-
-@functools.lru_cache
-def _pixels(path, *_):
-    try:
-        with open(path, "rb") as file:
+        with open(photograph, "rb") as file:
             head = file.read(24)
         if head.startswith(b"\x89PNG\r\n\x1a\n"):
             width, height = struct.unpack(">II", head[16:24])
             return width * height
         from lib.given import image  # NumPy: a PNG does without
 
-        width, height = image.announced(path)
+        width, height = image.announced(photograph)
         return width * height
     except (OSError, BadInput, struct.error):
         return None
@@ -140,17 +147,9 @@ def model_groups(path) -> set[str] | None:
         return None
 
 
+@_kept
 def lens_of(path) -> str | None:
     """The lens model that a camera file names, or None where the file cannot be read."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return _lens_of(path, status.st_size, status.st_mtime_ns)
-
-
-@functools.lru_cache
-def _lens_of(path, *_):
     try:
         return bounded.literal_of(path, bounded.content(path, bounded.LARGEST_TEXT))["lensmodel"]
     except (BadInput, ValueError, KeyError, TypeError):
