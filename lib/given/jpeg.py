@@ -11,6 +11,7 @@ SHARED_PX = 16  # side of the block that shares its error, where chroma is halve
 OF_CHROMA = np.array([1.402, np.hypot(0.344, 0.714), 1.772])  # Cb and Cr in R, G, B
 TO_RGB = float((OF_CHROMA**2).mean())
 SMOOTH, STEPS, SURE = 0.03, 0.06, 4.0  # steps that are no edge; how much larger they are between blocks; in sigmas
+LONGEST_TEXT = 500  # characters
 NO_TABLES = (
     "its pixels come in blocks of 8, as those of a JPEG that was stored anew: give the JPEG itself, whose tables say "
     "how its colours were rounded; standard deviations lack that"
@@ -90,11 +91,13 @@ def _steps_at_blocks(grey):
 
 def of_text(text) -> Blocks | None:
     """Of what `Blocks.text` wrote; None where these are not such numbers."""
+    if len(text) > LONGEST_TEXT:
+        return None
     try:
         *numbers, at = map(float, json.loads(text))
         px, noise, edge_noise, *colour = numbers[: len(numbers) - int(at)]
         first = tuple(numbers[len(numbers) - 2 :]) if at else None
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         return None
     sound = all(0 <= n < 1 for n in (noise, edge_noise, *colour)) and 1 <= px <= 64 and at in (0, 2)
     sound &= first is None or all(0 <= n <= px for n in first)
