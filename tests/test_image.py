@@ -233,9 +233,11 @@ def test_a_smaller_picture_of_a_jpeg_knows_of_it(tmp_path, k):
     assert image.read_photograph(tmp_path / "b.png").blocks.first is None
 
 
-@pytest.mark.parametrize(
-    "text", ["", "[]", "no", "[16, -1, 0, 0, 0]", "[16, 0.1, 0.1, 0.1, 1e999, 0]", '{"a": 1}', "3"]
-)
+WRONG_TEXTS = ["", "[]", "no", "[16, -1, 0, 0, 0]", "[16, .1, .1, .1, 1e999, 0]", '{"a": 1}', "3", "[" * 200_000]
+WRONG_TEXTS += [f"[16, .1, .1, .1, .1, .1, {at}]" for at in ("1e999", "-3", "NaN", "7", '"x"')]
+
+
+@pytest.mark.parametrize("text", WRONG_TEXTS)
 def test_a_text_that_is_no_jpeg_is_none(text):
     assert jpeg.of_text(text) is None
 
