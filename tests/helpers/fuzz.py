@@ -211,6 +211,19 @@ def of_png(random, data):
     return data[:8] + b"".join(parts)
 
 
+def of_text(random, data):
+    """The text of a PNG that a JPEG was made to: other numbers, or no numbers at all."""
+    if random.random() < 0.5:
+        return _of_a_jpeg(of_json(random, BLOCKS))
+    return _of_a_jpeg(spoilt(random, BLOCKS))
+
+
+def _of_a_jpeg(text):
+    from lib.given import image, picture_files
+
+    return picture_files.with_text(PNG, image.JPEG_KEY, text.decode("latin-1"))
+
+
 def of_npz(random, data):
     """Arrays of other shapes and kinds, in a sound archive."""
     with np.load(io.BytesIO(data)) as file:
@@ -677,6 +690,8 @@ def _beside_obj(path):
 
 
 MTL = b"newmtl lamp\nKe 1 2.5 3\nnewmtl wall\nKd 1 1 1\nmap_Kd ../x.png\n"
+PNG = _encoded(".png", mistakes.picture()[:20, :30])
+BLOCKS = _json([8, 0.004, 0.011, 0.002, 0.001, 0.003, 3.5, 0, 2])  # as lib.given.jpeg.Blocks writes it
 GREY16 = (mistakes.picture(1).astype(np.uint16) * 200)[:20, :30]
 KINDS = {
     "scene.yaml": Kind("attic/scene.yaml", YAML, _scene, of_yaml, {"attic/left.png": b"x", "attic/model.obj": b""}),
@@ -712,7 +727,8 @@ KINDS = {
     "places of a walk": Kind("walk.csv", PLACES, _walk),
     "npz": Kind("a.npz", _npz(), _arrays, of_npz),
     "npz, deflated": Kind("b.npz", _deflated_npz(), _arrays),
-    "PNG, 8 bit": Kind("left.png", _encoded(".png", mistakes.picture()[:20, :30]), _photograph, of_png),
+    "PNG, 8 bit": Kind("left.png", PNG, _photograph, of_png),
+    "PNG of a JPEG": Kind("left.png", _of_a_jpeg(BLOCKS), _photograph, of_text),
     "PNG, labels": Kind("group.png", _encoded(".png", GREY16), _labels, of_png),
     "JPEG": Kind("left.jpg", _encoded(".jpg", mistakes.picture()), _photograph),
     "TIFF": Kind("left.tif", _encoded(".tif", GREY16), _photograph),
