@@ -28,6 +28,14 @@ def test_two_halves_err_by_half_their_difference():
     assert Halves(G0, G1, None, None, rays).difference(E, b) == pytest.approx(0.2 + 0.15)
 
 
+@pytest.mark.parametrize("rest", [-1e-17, 0.0, 1e-17])
+def test_what_one_group_alone_tells_is_not_moved_without_it(rest):
+    """Left without its group a number's equations are a difference of equals, of either sign: sigma had been 1e133."""
+    whole = np.array([[2.0, 0.3], [0.3, 5e-2]])
+    left = np.array([[1.0, 1e-18], [-1e-18, rest]])
+    np.testing.assert_allclose(evidence.steady(left, np.array([3.0, 1e-18]), whole), [3, 0], atol=1e-9)
+
+
 def test_a_kept_surface_is_that_of_its_lamps(tmp_path):
     """A lamp has no light from behind: taken for another group, it would have two sides."""
     world = model.load(rooms.write(tmp_path / "model.obj", rooms.room() | rooms.LAMP))

@@ -30,8 +30,6 @@ OFF = 0.02  # relative difference of a lamp from what is told that is worth a wo
 SURE = 3  # standard deviations of the same, where they are known
 SETTLES = 0.3  # of the tiles' typical residual: what leaves no more is all that is wrong
 TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
-TOLD_TO = 0.05  # of gamma: what is told is off by no more, or is named;  free ones go .4 astray beside sharp lobes
-RIGHT = 7.0  # nats by which a free gamma beats a right one beside mirrors and lobes, at most
 CLEARLY = 2.0  # times what is enough, where mirrors or lobes leave an error: right gammas were beaten by 1.65 of it
 ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which nothing found is believed
 
@@ -120,19 +118,13 @@ def _another_gamma(problem, result, asked) -> list[Why]:
 
 def doubt_told(problem, result, asked):
     """Where a free gamma fits better than what is told, by less than names it, sigma holds as large a part of what it
-    would change: mirrored-2371 told 2.49 for 2.53 was 14 nats worse, of 23, and 19 sigma off and green. The part counts
-    from what right ones bring, and holds a few hundredths of gamma at most.
+    would change: mirrored-2371 told 2.49 for 2.53 was 14 nats worse, of 23, and 19 sigma off and green.
     """
     if not _is_told(asked) or result.sigma_rho is None:
         return
     found, gain, least = _free_gamma(problem, result)
     if gain > 0:
-        usual = RIGHT if problem.specular is not None else 0.0
-        there = found.result.state
-        told = asked.get("gamma", USUAL_GAMMA) if isinstance(asked, dict) else USUAL_GAMMA
-        share = np.sqrt(max(gain - usual, 0) / (least - usual))  # nats grow as the square of what is wrong
-        share = min(share, TOLD_TO / max(abs(there.gamma - told), TOLD_TO))
-        doubt(result, there, share)
+        doubt(result, found.result.state, min(np.sqrt(gain / least), 1.0))  # nats grow as the square of what is wrong
 
 
 def doubt(result: Result, other, share=1.0):

@@ -89,6 +89,11 @@ class Audit:
         """The groups that a diffuse surface does not explain. judged : of `misfits`"""
         return misfits.flagged(problem, judged, self.given, self.threshold)
 
+    def stands_out(self, explained, judged) -> bool:
+        """One group is off by far more than others: its lobe may be what looks like another lamp or camera."""
+        apart = misfits.apart(explained.problem, explained.result)
+        return apart is not None or misfits.keener(judged, self.threshold) is not None
+
     def energy(self, problem: Problem, result: Result, direct=None, among=None) -> Energy:
         """direct, among : of `misfits`"""
         judged = self.misfits(problem, result, direct, among)

@@ -56,13 +56,16 @@ def held_out(problem: Problem, residual, J, gradient, H) -> np.ndarray:
     total = H + sum(part[0] for part in parts), gradient + sum(part[1] for part in parts)
     found = r.copy()
     for run, part in zip(runs, parts, strict=True):
-        found[run] += J[run] @ steady(total[0] - part[0], part[1] - total[1])
+        found[run] += J[run] @ steady(total[0] - part[0], part[1] - total[1], total[0])
     return found.reshape(residual.shape)
 
 
-def steady(A, b) -> np.ndarray:
-    """x of A x = b, (n,) or (n, k), A positive semidefinite; a direction that nothing tells of is not moved."""
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+def steady(A, b, whole=None) -> np.ndarray:
+    """x of A x = b, (n,) or (n, k), A positive semidefinite; a direction that nothing tells of is not moved.
+
+    whole : (n, n) that A is what is left of: by its size, a difference of equals is nothing, of either sign
+    """
+    size = np.sqrt(np.maximum(np.diag(A if whole is None else whole), 1e-300))
     return (np.linalg.lstsq(A / np.outer(size, size), (b.T / size).T, rcond=1e-12)[0].T / size).T
 
 

@@ -125,7 +125,7 @@ def _materials(task, seen: Answer, lamps: _Lamps, edges, leave, report, options)
     wrong, answer = explain.lamps_told_wrong(explained, leave, **options), None
     if _outdoes(beside, explained, wrong):
         wrong = []
-    if not wrong or audit.flagged(explained.problem, judged):
+    if not wrong or audit.flagged(explained.problem, judged) or audit.stands_out(explained, judged):
         answer = materials(task, explained, audit, judged, report, leave)
     if wrong and not (answer and _mirrors_suffice(answer)):  # what mirrors throw may look like other lamps
         answer = answered(explained, audit, judged, ladder=ladder)
@@ -234,7 +234,8 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
         return _named(task, given(), why)
     if most < enough(first.problem) or promised[explain.OBJECT] == most:
         return None
-    if why := _transfer_told_wrong(task, first, leave, promised, given):
+    may_have_lobe = lambda: seen().audit.stands_out(given(), seen().judged)
+    if (why := _transfer_told_wrong(task, first, leave, promised, given)) and not may_have_lobe():
         return answered(given(), why=why)
     if _one_object_promises(task, first, rough, most) and (why := _another_material(task, seen())):
         return replace(seen(), why=why)
@@ -244,7 +245,7 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
         if refined := _by_light(task, rough, above=most):
             return answered(given(), refined=refined, why=refined.why)
     why = _lamps_told_wrong(task, first, leave, promised, given)
-    return _named(task, given(), why) if why else None
+    return _named(task, given(), why) if why and not may_have_lobe() else None
 
 
 def _one_object_promises(task, first, rough, most) -> bool:

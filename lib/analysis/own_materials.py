@@ -17,7 +17,7 @@ from lib.analysis.answers import Answer, answered, looked, things_of
 from lib.analysis.audit import ALMOST_ALL
 from lib.analysis.candidates import MIXING, Candidate, enough
 from lib.analysis.climbing import SPECULAR
-from lib.analysis.evidence import evidence
+from lib.analysis.evidence import evidence, steady
 from lib.analysis.gauss_newton import fit
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def _keeps_causes(answer) -> bool:
         return False
     if causes == {vignetting.NAME} and result.cov_cause is not None:
         numbers = result.state.cause - problem.cause.means  # from where there is no shadow
-        brings = float(numbers @ np.linalg.solve(result.cov_cause, numbers)) / 2
+        brings = float(numbers @ steady(result.cov_cause, numbers)) / 2
     elif causes <= {"response", matrix.NAME}:
         given = explained.given.problem
         told = replace(problem, transfer=given.transfer, fit_transfer=given.fit_transfer, cause=None, doubted=None)

@@ -90,6 +90,7 @@ def ways(site: Site, finish: Finish, chains: Chains, tiles: Receivers, mirrored=
         seed=5,
         complete=complete,
         spread=True,
+        places=specular.Places(tiles.start, tiles.p, site.normals[tiles.side[tiles.start[:-1]]]),
     )
     site.effort.note("rays by specular ways", rows.rays)
     site.effort.lost = max(rows.lost, site.effort.lost)

@@ -151,7 +151,7 @@ class _Normal:
         for tiles in (group == g for g in np.unique(group)):
             rows = np.repeat(tiles, self.channels)
             J, weighted = self.J[rows], self.weight[rows, None] * self.J[rows]
-            step = steady(self.H - J.T @ weighted, weighted.T @ self.at.residual.reshape(-1)[rows])
+            step = steady(self.H - J.T @ weighted, weighted.T @ self.at.residual.reshape(-1)[rows], self.H)
             moved.append(follow @ step[own])
         return np.transpose(moved) @ np.array(moved)
 

@@ -38,8 +38,8 @@ class Glints:
     arrays: GlintArrays
 
 
-def glints(surface: Surface, finish: Finish, normal, n_rays) -> Glints | None:
-    """For places whose gathering rays come from sides of normals (n, 3), n_rays from each; None: no plane is glossy."""
+def glints(surface: Surface, finish: Finish, normal, shot) -> Glints | None:
+    """For places of normals (K, 3) that gathering rays come from, `shot` (K,) from each; None: no plane is glossy."""
     of, _ = finish.facets(surface)
     glossy = (of >= 0) & (np.append(finish.kind, -1)[of] == GLOSSY)
     area = np.bincount(surface.facet, triangle_areas(surface.corners), len(surface.normal))
@@ -48,17 +48,18 @@ def glints(surface: Surface, finish: Finish, normal, n_rays) -> Glints | None:
     facets = order[area[order] > max(LARGE * area.sum(), 1e-300)]
     if not len(facets):
         return None
-    n = max(2, n_rays // FEWER)
-    ratio = np.zeros(len(surface.normal))
-    ratio[facets] = n / n_rays
-    return Glints(facets, n, GlintArrays(ratio, normal))
+    n = max(2, int(np.max(shot, initial=0)) // FEWER)
+    ways = np.zeros(len(surface.normal))
+    ways[facets] = n
+    return Glints(facets, n, GlintArrays(ways, np.repeat(shot, shot).astype(float), np.repeat(normal, shot, axis=0)))
 
 
-def light(surface: Surface, finish: Finish, chains: Chains, lamps, of: Glints, places, normal, blocks, seed):
+def light(surface: Surface, finish: Finish, chains: Chains, lamps, of: Glints, places, normal, shot, blocks, seed):
     """What the ways bring: yields (row (m,), emitter, chain, value (m,) for E = 1 and rho_s = 1).
 
     row : 2 i for the first half of the ways of place i, else 2 i + 1
-    places : first, last (K,), p (M, 3);  normal : (K, 3);  blocks : (K,) numbers that the random numbers belong to
+    places : first, last (K,), p (M, 3);  normal, shot : see `glints`
+    blocks : (K,) numbers that the random numbers belong to
     """
     group, axes = finish.facets(surface)
     lobes = Lobes(axes, np.asarray(finish.alpha, float), finish.form)
@@ -67,9 +68,8 @@ def light(surface: Surface, finish: Finish, chains: Chains, lamps, of: Glints, p
         chain = int(chains.then(np.zeros(1, int), group[[f]])[0])
         for k, lamp in enumerate(lamps):
             words = sequence, shifts(blocks, of.n, seed + 100 * number + k)
-            ratio = of.arrays.ratio[f]
             to, on, value = kernels.found(
-                of.n, places, normal, f, group[f], ratio, lamp.arrays, areas[k], lobes, surface.arrays, words
+                of.n, places, normal, f, group[f], of.n / shot, lamp.arrays, areas[k], lobes, surface.arrays, words
             )
             lit = np.flatnonzero(value > 0)
             triangle, _ = surface.caster.closest(to[lit])

@@ -18,8 +18,9 @@ FLAT = 1e-7  # local: what lies nearer to a plane is in it
 class GlintArrays(NamedTuple):
     """How often the ways of a place by each facet are sought from the lamp, and where they begin."""
 
-    ratio: np.ndarray  # (F,) such ways over gathering rays; 0: none
-    normal: np.ndarray  # (n, 3) of the side of the place that each ray came from
+    ways: np.ndarray  # (F,) such ways of each place, 0: none
+    shot: np.ndarray  # (n,) gathering rays of the place that each ray came from
+    normal: np.ndarray  # (n, 3) of the side of that place
 
 
 @njit(inline="always")
@@ -84,7 +85,7 @@ def often(p, n, y, x, f, ax, ay, ratio, surface: SurfaceArrays, axes):
 def often_each(which, rays, y, x, facet, group, glints: GlintArrays, lobes: Lobes, surface: SurfaceArrays):
     """`often` of ways (n,) that begin with the rays (n, 6) and go by y to x (n, 3). group : (n,) specular ones
 
-    which : (n,) rows of glints.normal
+    which : (n,) rows of glints.shot and glints.normal
     """
     result = np.empty(len(which))
     for j in prange(len(which)):
@@ -94,7 +95,8 @@ def often_each(which, rays, y, x, facet, group, glints: GlintArrays, lobes: Lobe
         for d in range(3):
             p[d] = rays[j, d]
         n = glints.normal[which[j]]
-        result[j] = often(p, n, y[j], x[j], f, ax, ay, glints.ratio[f], surface, lobes.axes)
+        ratio = glints.ways[f] / glints.shot[which[j]]
+        result[j] = often(p, n, y[j], x[j], f, ax, ay, ratio, surface, lobes.axes)
     return result
 
 
@@ -102,7 +104,8 @@ def often_each(which, rays, y, x, facet, group, glints: GlintArrays, lobes: Lobe
 def found(n, places, normal, f, group, ratio, lamp: LampArrays, area, lobes: Lobes, surface: SurfaceArrays, words):
     """n ways from each of K places by facet f to the lamp: what they bring for E = 1 and rho_s = 1, per gathering ray.
 
-    places : first, last (K,), p (M, 3);  normal : (K, 3) of their sides;  area : of the lamp
+    places : first, last (K,), p (M, 3);  normal : (K, 3) of their sides;  ratio : (K,) such ways over gathering rays
+    area : of the lamp
     words : sequence (n, 4), shift (K, 4) uint32 of places on the lamp and slopes
     Returns rays (K n, 6) to the facet, rays (K n, 6) on to the lamp, and value (K n,), 0 where nothing comes.
     The value is the balance heuristic's, see lib/light/specular_lamps.py; whether something stands on the way is not
@@ -171,7 +174,7 @@ def found(n, places, normal, f, group, ratio, lamp: LampArrays, area, lobes: Lob
             ix, iy, iz, there = ix / far, iy / far, iz / far, there / far
             ox, oy, oz = ox / near, oy / near, oz / near
             density = far * far / (there * area)
-            more = often(p, normal[i], y, x, f, ax, ay, ratio, surface, axes)
+            more = often(p, normal[i], y, x, f, ax, ay, ratio[i], surface, axes)
             reflected = ward.value(lobes.form, ax, ay, ix, iy, iz, ox, oy, oz)
             reflected *= thrown(lamp.lobe, -on[row, 3], -on[row, 4], -on[row, 5])
             value[row] = reflected * iz / (density * (1 + more) + ward.pdf(ax, ay, ix, iy, iz, ox, oy, oz))

@@ -15,18 +15,23 @@ Nothing here is imported where no group has climbed to a specular rung of the la
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from lib.light import form_factors
+from lib.given.rays import shifts, sobol
+from lib.light import form_factors, glints
 from lib.light import lamps as lamps_
 from lib.light.cells import Mesh
+from lib.light.cells_kernels import patch_points
 from lib.light.chains import Chains, Finish
 from lib.light.form_factors import chunks, located
 from lib.light.form_factors_kernels import DROPPED, ESCAPED
 from lib.light.paths import DEPTH, Met, first_met, follow
 from lib.light.specular_lamps import add_lamps, lamp_found, lobe_light, mirrored_lamps
-from lib.light.surface import Surface
+from lib.light.surface import Surface, side_normals
+
+POINTS = 32  # of each patch, by which lamps are sought
 
 # ---- extended rows of form factors ----
 
@@ -70,6 +75,14 @@ class _Entries:
             yield k, matrix
 
 
+class Places(NamedTuple):
+    """Where the elements lie that rays come from. start : (R + 1,) into p (M, 3) local;  normal : (R, 3)"""
+
+    start: np.ndarray
+    p: np.ndarray
+    normal: np.ndarray
+
+
 class _Tally:
     """What the rays of some elements bring, written into entries of F and D.
 
@@ -101,6 +114,10 @@ class _Tally:
         for k, seen in enumerate(self.outside.seen(met.rays[gone]).T, self.outside.first):
             self.light.add(met.chain[gone], self.row[met.source[gone]], np.full(len(gone), k), value * seen)
 
+    def from_glints(self, row, k, chain, value):
+        """row, value : (n,) by way of the chain from emitter k"""
+        self.light.add(np.full(len(row), chain), row, np.full(len(row), self.lamp[k]), value)
+
     def from_lamps(self, met: Met, which, weight):
         """which, weight : (n,) of lamp_found"""
         on = np.flatnonzero(which >= 0)
@@ -123,6 +140,7 @@ def rows(
     complete=DEPTH,
     detail=None,
     spread=False,
+    places=None,
 ) -> ChainRows:
     """The specular part of the rows of elements.
 
@@ -132,21 +150,32 @@ def rows(
     complete : by how many mirrors lamps are mirrored; rays find those that are further
     detail : (rays, triangle, t, patch) -> (n,) what the light there is of its patch's; None: patches are of one light
     spread : two sets of rays apart, for F_spread and D_spread
+    places : Places of the elements, where lamps in glossy planes are sought from the lamps as well
     """
     R = len(ray_start) - 1
     factors, light, result = _Entries(), _Entries(), ChainRows()
     for first, last in chunks(ray_start):
         start, counts = begin(first, last)
         element = np.repeat(np.arange(first, last), np.diff(ray_start[first : last + 1]))
-        share = 1 / np.maximum(np.bincount(element - first, counts, last - first), 1)[element - first]
-        row = element
+        each = 1 / np.maximum(np.bincount(element - first, counts, last - first), 1)
+        share, row = each[element - first], element
         if spread:  # its first rays and its last: each half of a Sobol' sequence is spread as evenly as the whole
             middle = (ray_start[:-1] + ray_start[1:]) // 2
             row = element + R * (np.arange(ray_start[first], ray_start[last]) >= middle[element])
         start = replace(start, triangle=np.where(counts, start.triangle, -1))
         result.rays += len(start)
         tally = _Tally(lamps, outside, factors, light, row, share)
-        left = _follow(surface, mesh, finish, chains, lamps, start, tally, seed, complete, detail)
+        shot = np.diff(ray_start[first : last + 1])
+        of = None if places is None else glints.glints(surface, finish, places.normal[first:last], shot)
+        left = _follow(surface, mesh, finish, chains, lamps, start, tally, seed, complete, detail, of)
+        if of is not None:
+            some = places.start[first:last], places.start[first + 1 : last + 1], places.p
+            blocks = np.arange(first, last)
+            for at, k, chain, value in glints.light(
+                surface, finish, chains, lamps, of, some, places.normal[first:last], shot, blocks, seed + 17
+            ):
+                here = at // 2
+                tally.from_glints(first + here + R * spread * (at % 2), k, chain, value * each[here])
         result.lost += sum(float((weight * share[source]).sum()) for source, weight in left) / R
     shares = (1 + spread) * R
     for k, matrix in factors.matrices((shares, len(mesh))):
@@ -156,11 +185,14 @@ def rows(
     return result
 
 
-def _follow(surface, mesh, finish, chains, lamps, start, tally, seed, complete, detail):
+def _follow(surface, mesh, finish, chains, lamps, start, tally, seed, complete, detail, sought):
     """Follow rays to their ends and count what they find; returns those that would still go on, see `follow`."""
 
+    arrays = None if sought is None else sought.arrays
+    also = None if sought is None else (arrays, finish, start)
+
     def at_lobe(at):
-        tally.from_lobes(at.met, lobe_light(surface, lamps, at, seed=seed))
+        tally.from_lobes(at.met, lobe_light(surface, lamps, at, seed=seed, glints=arrays))
 
     left = []
     for met in follow(surface, finish, chains, start, seed=seed, at_lobe=at_lobe, left=left):
@@ -171,7 +203,7 @@ def _follow(surface, mesh, finish, chains, lamps, start, tally, seed, complete, 
 
         tally.from_patches(met, patch, finer)
         tally.from_outside(met, patch)
-        tally.from_lamps(met, *lamp_found(surface, lamps, met, chains, complete))
+        tally.from_lamps(met, *lamp_found(surface, lamps, met, chains, complete, sought=also))
     return left
 
 
@@ -251,8 +283,22 @@ def transport(
     mirrored, way, complete = mirrored_lamps(surface, finish, chains, lamps)
     ray_start, make = form_factors.from_patches(surface, mesh, n_rays)
     begin = from_rays(surface, mesh, make)
+    shift = shifts(len(mesh), POINTS, 3000)
+    p = patch_points(POINTS, sobol(POINTS), shift, mesh.pieces, surface.arrays)
+    places = Places(np.arange(len(mesh) + 1) * POINTS, p, side_normals(surface)[mesh.side])
     result = rows(
-        surface, mesh, finish, chains, lamps, n_lamps, ray_start, begin, outside=outside, seed=3, complete=complete
+        surface,
+        mesh,
+        finish,
+        chains,
+        lamps,
+        n_lamps,
+        ray_start,
+        begin,
+        outside=outside,
+        seed=3,
+        complete=complete,
+        places=places,
     )
     one = [replace(lamp, lamp=k) for k, lamp in enumerate(mirrored)]
     factor = lamps_.patch_direct(surface, mesh, one, len(one), n_points=32) if one else np.zeros((len(mesh), 0))

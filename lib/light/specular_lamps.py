@@ -131,7 +131,7 @@ def lamp_areas(lamps):
 
 def no_glints(surface: Surface) -> GlintArrays:
     """No ways are sought from lamps."""
-    return GlintArrays(np.zeros(len(surface.normal)), np.zeros((0, 3)))
+    return GlintArrays(np.zeros(len(surface.normal)), np.zeros(0), np.zeros((0, 3)))
 
 
 def lobe_light(surface: Surface, lamps, at: AtLobes, *, seed=0, glints: GlintArrays | None = None):

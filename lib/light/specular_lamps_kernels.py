@@ -40,7 +40,7 @@ def to_lamp(
     What it brings is for E = 1 and rho_s = 1; whether something stands on the way is not asked.
 
     The value is that of the balance heuristic, whose other half are the rays of the lobe that find the lamp, and where
-    glints.ratio is not 0 the ways of lib/light/glints.py.
+    glints.ways is not 0 the ways of lib/light/glints.py.
     """
     p, facet, sign, view = places.p, places.facet, places.sign, places.rays
     normal, axes, corners, front = surface.normal, lobes.axes, lamp.corners, lamp.normal
@@ -74,11 +74,11 @@ def to_lamp(
         density = squared / (there * area)
         reflected = ward.value(lobes.form, ax, ay, ix, iy, iz, ox, oy, oz)
         reflected *= thrown(lamp.lobe, -rays[j, 3], -rays[j, 4], -rays[j, 5])
-        if glints.ratio[f] > 0:
+        if glints.ways[f] > 0:
             x_there, p_first = np.empty(3), np.empty(3)
             for d in range(3):
                 x_there[d], p_first[d] = rays[j, d] + rays[j, 3 + d], view[j, d]
-            n_first = glints.normal[places.source[j]]
-            density *= 1 + often(p_first, n_first, p[j], x_there, f, ax, ay, glints.ratio[f], surface, axes)
+            n_first, ratio = glints.normal[places.source[j]], glints.ways[f] / glints.shot[places.source[j]]
+            density *= 1 + often(p_first, n_first, p[j], x_there, f, ax, ay, ratio, surface, axes)
         value[j] = reflected * iz / (density + ward.pdf(ax, ay, ix, iy, iz, ox, oy, oz))
     return rays, value

@@ -70,11 +70,12 @@ def _by_ways(surface, shown, ends: RayEnds, places, side, n_rays, blocks, seed):
     element = np.arange(len(rays)) * 2 // n_rays  # each half is one
     start = paths.first_met(rays, np.where(counts, triangle, -1), t)
     normal = surface.normal[side // 2] * (1.0 - 2.0 * (side % 2))[:, None]
-    of = glints.glints(surface, ways.finish, np.repeat(normal, n_rays, axis=0), n_rays)
+    shot = np.full(K, n_rays)
+    of = glints.glints(surface, ways.finish, normal, shot)
     sums = beyond(surface, shown, start, element, 2 * K, sought=of)
     if of is not None:
         E = ways.E[[lamp.lamp for lamp in ways.lamps]]
-        every = glints.light(surface, ways.finish, ways.chains, ways.lamps, of, places, normal, blocks, seed + 17)
+        every = glints.light(surface, ways.finish, ways.chains, ways.lamps, of, places, normal, shot, blocks, seed + 17)
         for row, k, chain, value in every:
             found = np.bincount(row, value, 2 * K)
             sums += found[:, None] * E[k] * ways.chains.power(ways.rho_s)[chain]
