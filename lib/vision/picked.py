@@ -139,10 +139,14 @@ def misread(picks: Picks, camera: Camera, focal_known: bool, than: Found | None 
             starts = _starts(told, camera, focal_known)
             tried = [_Fit(told, camera, focal_known, *start).climbed() for start in starts]
             sound = [fit for fit in tried if fit.is_sound and not fit.outlier.any() and fit.factor < COARSE]
-            fits |= {words: max(fit.likelihood for fit in sound)} if sound else {}
+            fits |= {words: max(sound, key=lambda fit: fit.likelihood)} if sound else {}
     if not fits:
         return None
-    return f"all {len(picks.p)} points would agree with one camera if {max(fits, key=fits.get)}"
+    # a quarter either way differ by half a turn of the camera, which all points agree with as well: it stands upright
+    most = max(fit.likelihood for fit in fits.values())
+    near = [words for words, fit in fits.items() if 2 * (most - fit.likelihood) < RIVAL]
+    likely = max(near, key=lambda words: (fits[words].upright, fits[words].likelihood))
+    return f"all {len(picks.p)} points would agree with one camera if {likely}"
 
 
 def _check_spread(picks):
@@ -263,6 +267,11 @@ class _Fit:
         self.anywhere = -np.log(float(camera.width * camera.height))  # a wrong pick's log-density
         self.right, self.share_right, self.likelihood = np.ones(n + m), 0.8, -np.inf
         self.is_sound = True
+
+    @property
+    def upright(self):
+        """Cosine of the angle between the picture's up and the model's, z."""
+        return -self.T[1, 2]
 
     @property
     def size(self):
