@@ -13,7 +13,7 @@ import numpy as np
 from lib.analysis.equations import Equations
 from lib.analysis.evidence import steady
 from lib.analysis.folds import FOLDS, folds
-from lib.analysis.problem import MISFIT, Problem, Result, weights
+from lib.analysis.problem import MISFIT, CauseTerms, Problem, Result, weights
 from lib.analysis.transport import TileLight
 from lib.light.balance import reflected
 
@@ -65,6 +65,19 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         result.cov_transfer = cov[own, own]
     if at.layout.cause:
         result.cov_cause = cov[own.stop :, own.stop :]
+
+
+def widen(problem: Problem, result: Result, terms: CauseTerms):
+    """Every sigma that a fit found holds what numbers leave that are not fitted, too."""
+    at, normal = result.at, _Normal(problem, result.at)
+    size = np.sqrt(np.maximum(np.diag(normal.beside(terms)), 0))
+    ends = (0, *at.layout.ends)
+    for k, name in enumerate(("rho", "E", "rho_s")):
+        sigma, where = getattr(result, f"sigma_{name}"), tuple(getattr(at.layout, name).T)
+        if sigma is not None:
+            sigma[where] = np.hypot(sigma[where], size[ends[k] : ends[k + 1]])
+    if result.sigma_bend is not None:
+        result.sigma_bend = np.hypot(result.sigma_bend, size[ends[3] : ends[4]])
 
 
 def doubts(terms):

@@ -133,14 +133,16 @@ def midpoints(corners, n):
 # -- photographs of small rooms, made by our own renderer
 
 
-def linear_picture(subject, shadow_rays=32, **quality):
+def linear_picture(subject, shadow_rays=32, fine=False, **quality):
     """The subject rendered with a coarse texture of what rays see.
 
-    Half the time, and within 0.3 % or so of a better one.
+    Half the time, and within 0.3 % or so of a better one (fine).
     """
     from lib.picture import rendering, texels
     from lib.picture.subject import Quality
 
+    if fine:
+        return rendering.render(subject, Quality(shadow_rays=128, **quality)).linear
     whole = texels.light_map
     texels.light_map = lambda *words, **named: whole(*words, **{**named, "texels": 8000, "samples": 16})
     try:
@@ -170,30 +172,21 @@ class Studio:
     """A room, a camera, and what depends on them alone, done once.
 
     Photographs of any materials in it, and what stages/fit.py finds in them.
+
+    fine : light in photographs by far more patches and rays than the fit's, and tiles' by as many as are usual
     """
 
-    def __init__(self, folder, objects, camera, lamps=("lamp",), patches=160, rays=512):
+    def __init__(self, folder, objects, camera, lamps=("lamp",), patches=160, rays=512, fine=False):
         from lib.buffers import coverage, edges, index_buffer
         from lib.given import cameras, image, model
 
-        self.folder, self.camera, self.lamps = folder, camera, tuple(lamps)
+        self.folder, self.camera, self.lamps, self.fine = folder, camera, tuple(lamps), fine
         world = model.load(rooms.write(folder / "model.obj", objects))
         self.surface = s = surfaces.surface(world, lamps)
         self.groups = s.groups
-        emitters = lamps_.emitters(s, lamps)
-        m = rooms.patches(s, patches)
-        factor = lamps_.patch_direct(s, m, emitters, len(lamps), n_points=32)
-        area = np.bincount(s.group, surfaces.facet_areas(s), minlength=len(s.groups)) * s.local.diagonal**2
-        self.factors = factors_file.FormFactors(
-            m,
-            form_factors.rays(s, m, n_rays=rays),
-            factor,
-            self.lamps,
-            s.group[m.side // 2],
-            s.groups,
-            area,
-            s.local.diagonal,
-        )
+        self.factors = self.light = self._factors(patches, rays)
+        if fine:
+            self.light = self._factors(1500, 4096, seed=1)
         index = index_buffer.reference(world, camera)
         self.facet, self.world = index.facet, world
         self.coverage = coverage.coverage(world, camera, index.facet, "rays")
@@ -201,6 +194,14 @@ class Studio:
         factors_file.write(folder / "formfactors.npz", self.factors)
         cameras.write_cameramodel(folder / "camera.cameramodel", camera)
         image.write_png16(folder / "facet.png", index.facet + 1)
+
+    def _factors(self, patches, rays, seed=0):
+        s = self.surface
+        m = rooms.patches(s, patches)
+        factor = lamps_.patch_direct(s, m, lamps_.emitters(s, self.lamps), len(self.lamps), n_points=32, seed=seed)
+        area = np.bincount(s.group, surfaces.facet_areas(s), minlength=len(s.groups)) * s.local.diagonal**2
+        rows, group = form_factors.rays(s, m, n_rays=rays, seed=seed), s.group[m.side // 2]
+        return factors_file.FormFactors(m, rows, factor, self.lamps, group, s.groups, area, s.local.diagonal)
 
     def pixels(self, group):
         """(H, W) bool: those that show a group."""
@@ -233,8 +234,8 @@ class Studio:
         look = Appearance(rho, E)
         if kinds:
             look = Appearance(rho, E, finish(self.surface, **kinds), np.array(rho_s).reshape(-1, C))
-        subject = Subject(view, self.surface, self.factors, self.coverage, look, Transfer("linear"))
-        return linear_picture(subject, **options)
+        subject = Subject(view, self.surface, self.light, self.coverage, look, Transfer("linear"))
+        return linear_picture(subject, fine=self.fine, **options)
 
     def write(self, photograph, folder=None):
         """left.png or .exr, gather.npz and audit.npz of a photograph, as the stages before the fit write them.
@@ -256,7 +257,7 @@ class Studio:
         trusted = trust.trusted(photograph, facet, self.hidden, s.group).mask
         view = View(self.camera, self.world, photograph, facet)
         for name, used, sampling in (
-            ("gather", trusted, gather.Sampling(rays_per_tile=256, rays_per_facet=8192)),
+            ("gather", trusted, gather.Sampling(256 << self.fine, 8192 << self.fine)),
             ("audit", gather.pure(photograph, facet), gather.AUDIT),
         ):
             gather.write(folder / f"{name}.npz", gather.gathered(view, s, self.factors, used, sampling))
