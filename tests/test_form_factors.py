@@ -556,7 +556,7 @@ def test_a_later_sheet_covers_an_earlier_one(tmp_path):
         exact_factors.polygon_to_polygon(floor, np.array(ceiling, float)), abs=1e-3
     )
     lamps = lamps_.emitters(s, ["lamp"])
-    D = lamps_.patch_direct(s, m, lamps, 1, n_points=64)[:, 0]
+    D = lamps_.patch_direct(s, m, lamps, 1, n_points=256)[:, 0]
     assert (m.area * D).sum() == pytest.approx(s.local.diagonal**-2, rel=2e-4), "no occluder: exact but for the points"
 
 

@@ -69,7 +69,7 @@ def test_the_truth_would_be_written_again(name):
 @scenes
 def test_nothing_a_stage_must_not_know(name):
     facts = yaml.safe_load((DATA / name / "scene.yaml").read_text())
-    assert set(facts) <= {"lamps", "reference"}
+    assert set(facts) <= {"lamps", "reference", "params"}
 
 
 @scenes

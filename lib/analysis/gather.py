@@ -76,10 +76,10 @@ IN_GAP = 0.3
 AUDIT = Sampling(rays_per_tile=128, rays_per_facet=0, lamp_samples=1, tiles_per_facet=60, seed=77)
 
 
-def blocks(facet, used, *, largest=20, smallest=4, tiles_per_facet=24):
+def blocks(facet, used, place=None, *, largest=20, smallest=4, tiles_per_facet=24):
     """Cut the used pixels into square tiles of one facet each, small on small facets.
 
-    facet : (H, W) int, -1 = nothing;  used : (H, W) bool
+    facet : (H, W) int, -1 = nothing;  used : (H, W) bool;  place : (F,) of each facet in the order of the tiles
     Returns facet (T,), start (T + 1,), pixel (M,).
     """
     y, x = np.nonzero(used & (facet >= 0))
@@ -89,7 +89,7 @@ def blocks(facet, used, *, largest=20, smallest=4, tiles_per_facet=24):
     count = np.bincount(f)
     block = np.clip(np.sqrt(count / tiles_per_facet), smallest, largest).astype(np.int64)[f]
     columns = facet.shape[1] // smallest + 1
-    key = (f * (facet.shape[0] // smallest + 1) + y // block) * columns + x // block
+    key = ((f if place is None else place[f]) * (facet.shape[0] // smallest + 1) + y // block) * columns + x // block
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.diff(key[order], prepend=-1))
     return (
@@ -140,7 +140,7 @@ def build(
     """
     s = sampling
     tile_facet, start, pixel = blocks(
-        facet, used, largest=s.largest, smallest=s.smallest, tiles_per_facet=s.tiles_per_facet
+        facet, used, surface.place, largest=s.largest, smallest=s.smallest, tiles_per_facet=s.tiles_per_facet
     )
     p, side = backproject(surface, camera, np.repeat(tile_facet, np.diff(start)), pixel)
     direct = _direct(surface, emitters, n_lamps, p, side, start, s)

@@ -138,7 +138,8 @@ class Site:
         H, W = self.view.shape
         label = np.full(H * W, -1, np.int64)
         _, label[pixel] = np.unique(
-            shown.facet + shown.chain.astype(np.int64) * len(self.surface.normal), return_inverse=True
+            self.surface.place[shown.facet] + shown.chain.astype(np.int64) * len(self.surface.normal),
+            return_inverse=True,
         )
         used = np.zeros(H * W, bool)
         used[pixel] = True

@@ -13,7 +13,10 @@ import numpy as np
 
 from lib.core import packages
 from lib.given import rays_kernels as kernels
+from lib.given.extent import smallest_ball
 from lib.given.rays_kernels import OFFSET
+
+GRID = 2.0**36  # steps of local coordinates to a diagonal: another unit of length rounds otherwise, by 1e-16
 
 
 @dataclass(frozen=True)
@@ -25,14 +28,15 @@ class Local:
 
     @classmethod
     def of(cls, model) -> Local:
-        """Of the vertices that a model's triangles use."""
+        """Of the vertices that a model's triangles use: of the smallest ball around them. Turned, it is the same."""
         used = model.vertices[np.unique(model.triangles)]
-        low, high = used.min(axis=0), used.max(axis=0)
-        return cls((low + high) / 2, float(np.linalg.norm(high - low)))
+        near = used[0]  # so that nothing cancels far from the origin
+        centre, radius = smallest_ball(used - near)
+        return cls(near + centre, 2 * radius)
 
     def points(self, p) -> np.ndarray:
-        """(..., 3) m -> local."""
-        return (np.asarray(p, float) - self.centre) / self.diagonal
+        """(..., 3) m -> local, on a grid: the same places in metres and in millimetres, to the last bit."""
+        return np.rint((np.asarray(p, float) - self.centre) / self.diagonal * GRID) / GRID
 
 
 class Caster:

@@ -19,6 +19,10 @@ from lib.light.form_factors_kernels import DROPPED
 from lib.light.lamps import direct
 from lib.light.surface import Surface, facet_areas, side_normals, start_inside
 
+# Of a patch, to tell where it is unevenly lit. With 64 their noise chose patches: from draw to draw gamma changed by
+# .0058 (office-2) and .019 (gallery-white); .0022 and .0095 with 256, for .6 CPU s in 7 (docs/verify.md)
+RAYS = 256
+
 
 def probe(surface: Surface, mesh: Mesh, *, n_rays, seed=0):
     """Share of each patch's rays that meet the lit side of something, (N,)."""
@@ -101,7 +105,9 @@ def sees_something(surface: Surface, candidates) -> np.ndarray:
     return np.unique(mesh.side[seen > 0])
 
 
-def build(surface: Surface, *, patches, max_level, contrast, emitters=(), n_rays=64, uniform=False, trace=None) -> Mesh:
+def build(
+    surface: Surface, *, patches, max_level, contrast, emitters=(), n_rays=RAYS, uniform=False, trace=None
+) -> Mesh:
     """Cut the lit sides into about `patches` root cells (in area), then refine where the light is uneven.
 
     patches : root cells if all cells had equal area; a small facet always has at least one

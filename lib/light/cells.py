@@ -54,7 +54,7 @@ class Tree:
         corners, facet = surface.corners, surface.facet
         relative = corners - surface.origin[facet][:, None, :]
         self.uv = np.stack([np.einsum("tij,tj->ti", relative, surface.axes[facet, a]) for a in (0, 1)], axis=-1)
-        self.order = np.argsort(facet, kind="stable").astype(np.int64)
+        self.order = np.lexsort((surface.triangle_place, facet)).astype(np.int64)
         self.start = np.searchsorted(facet[self.order], np.arange(len(surface.normal) + 1)).astype(np.int64)
         root = np.maximum(1, np.ceil(surface.size / coarse - 1e-9)).astype(np.int64)  # (F, 2)
         self.root = np.repeat(root, 2, axis=0)  # per side
@@ -64,6 +64,7 @@ class Tree:
         nv = self.root[side, 1]
         self.leaves = np.stack([side, np.zeros_like(side), index // nv, index % nv], axis=1)  # side, level, iu, iv
         self._prune()
+        self.sort()
 
     def cells(self, leaves=None):
         """(n, 5) facet, u0, v0, u1, v1 of leaves (n, 4), by default the tree's."""
@@ -94,8 +95,9 @@ class Tree:
         self.leaves = np.concatenate([self.leaves[~flags], children])
 
     def sort(self):
-        """By side, level and place."""
-        self.leaves = self.leaves[np.lexsort(self.leaves.T[::-1])]
+        """By the place of the facet, side, level and place on it."""
+        side, level, iu, iv = self.leaves.T
+        self.leaves = self.leaves[np.lexsort((iv, iu, level, side % 2, self.surface.place[side // 2]))]
 
     def mesh(self) -> Mesh:
         """The leaves as patches, in their order."""

@@ -29,6 +29,16 @@ class PatchPieces(NamedTuple):
 # ---- cutting ----
 
 
+ON_LINE = 1e-9  # local; a corner so near to a cell's border lies on it
+
+
+@njit(inline="always")
+def beyond(x, value, greater):
+    """How far x lies on the side that is kept; 0 on the border, where rounding is not to cut off a sliver."""
+    d = x - value if greater else value - x
+    return d if abs(d) > ON_LINE else 0.0
+
+
 @njit()
 def clip(poly, n, axis, value, keep_greater, out):
     """Sutherland-Hodgman against one axis-parallel line; returns the new number of corners."""
@@ -36,8 +46,8 @@ def clip(poly, n, axis, value, keep_greater, out):
     for i in range(n):
         a = poly[i]
         b = poly[(i + 1) % n]
-        da = a[axis] - value if keep_greater else value - a[axis]
-        db = b[axis] - value if keep_greater else value - b[axis]
+        da = beyond(a[axis], value, keep_greater)
+        db = beyond(b[axis], value, keep_greater)
         if da >= 0:
             out[m, 0], out[m, 1] = a[0], a[1]
             m += 1

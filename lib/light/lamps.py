@@ -72,9 +72,11 @@ def emitters(surface: Surface, lamps, lobes=None) -> list[Emitter]:
         facets = np.intersect1d(np.flatnonzero(surface.group == surface.groups.index(name)), surface.facet)
         if not len(facets):
             continue  # of an object that is not there
+        facets = facets[np.argsort(surface.place[facets])]
         sets = [[f] for f in facets] if len(facets) <= 8 else [facets]
         for chosen in sets:
             t = np.flatnonzero(np.isin(surface.facet, chosen))
+            t = t[np.lexsort((surface.triangle_place[t], surface.place[surface.facet[t]]))]
             cdf = np.cumsum(area[t]) / area[t].sum()
             facets_of_it = tuple(int(f) for f in chosen)
             lobe = (lobes or {}).get(name, LAMBERTIAN)

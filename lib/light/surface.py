@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from lib.given import extent
 from lib.given import rays as ray_tools
 from lib.given.model.lids import NEAR
-from lib.given.rays import Caster, Local
+from lib.given.rays import GRID, Caster, Local
 from lib.given.rays_kernels import OFFSET
 from lib.light import surface_kernels as kernels
 from lib.light.surface_kernels import SurfaceArrays
@@ -45,6 +47,25 @@ class Surface:
     cast: np.ndarray  # (T, 3, 3) float64 local: corners as they are cast, solids a hair thinner
     # (F,) int8, of a solid that may reach into another: 1 where its inside is at the back, -1 at the front; else 0
     overlap: np.ndarray
+    middle: np.ndarray  # (3,) of the model's corners, see lib/given/extent.py
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """(F,) int: the number of each facet in an order that is the scene's, not the file's: random numbers follow it.
+
+        By what turning the scene leaves as it is, then by middle and normal; all rounded, so that no last bit decides.
+        """
+        p = self.origin + 0.5 * (self.size[:, :, None] * self.axes).sum(axis=1) - self.middle
+        ways = [np.linalg.norm(p, axis=1), np.einsum("ij,ij->i", p, self.normal), *self.size.T]
+        order = np.lexsort(np.rint(np.column_stack([self.normal, p, *ways]) / extent.SAME).T)
+        return np.argsort(order, kind="stable")
+
+    @cached_property
+    def triangle_place(self) -> np.ndarray:
+        """(T,) int: the same of the triangles."""
+        p = self.corners.mean(axis=1) - self.middle
+        order = np.lexsort(np.rint(np.column_stack([p, np.linalg.norm(p, axis=1)]) / extent.SAME).T)
+        return np.argsort(order, kind="stable")
 
     @property
     def arrays(self) -> SurfaceArrays:
@@ -55,8 +76,8 @@ class Surface:
 def surface(model, lamps=(), like=None) -> Surface:
     """Facet frames, solids and ray casters. lamps: names of the groups that emit.
 
-    like : Surface of a model of which this one is a change (lib/given/model/changes.py): local coordinates are the
-        same, and facets that are no longer there keep their frames
+    like : Surface of a model of which this one is a change (lib/given/model/changes.py): local coordinates and frames
+        are the same, also of facets that are no longer there
     The last few are kept: several steps of a stage ask for the same.
     """
     lamps = tuple(name for name in lamps if name in model.groups)
@@ -71,8 +92,10 @@ def surface(model, lamps=(), like=None) -> Surface:
 def _surface(model, lamps, like) -> Surface:
     local = Local.of(model) if like is None else like.local
     corners = local.points(model.vertices)[model.triangles]
+    middle = extent.middle(corners.reshape(-1, 3)) if like is None else like.middle
+    corners = _begun(corners, middle)
     facet = np.array(model.triangle_facet, np.int32)  # copies: kernels would be compiled again for read-only arrays
-    normal = np.array(model.facet_normal, float)
+    normal = np.rint(np.array(model.facet_normal, float) * GRID) / GRID  # as local coordinates
     can = ray_tools.occluders(corners, facet, len(normal))
     group, thing = np.array(model.facet_group, np.int32), np.array(model.facet_object, np.int32)
     lamp_facet = np.isin(model.facet_group, [model.groups.index(g) for g in lamps])
@@ -93,7 +116,7 @@ def _surface(model, lamps, like) -> Surface:
         group = np.append(group, np.full(len(faces), -1)).astype(np.int32)
     order = np.argsort(facet, kind="stable").astype(np.int64)
     start = np.searchsorted(facet[order], np.arange(len(normal) + 1)).astype(np.int64)
-    origin, axes, size = kernels.frames(corners, order, start, normal)
+    origin, axes, size = _told_apart(middle, *kernels.frames(corners, order, start, normal))
     if like is not None:
         gone = np.setdiff1d(np.flatnonzero(like.group >= 0), facet)
         origin[gone], axes[gone], size[gone] = like.origin[gone], like.axes[gone], like.size[gone]
@@ -114,7 +137,30 @@ def _surface(model, lamps, like) -> Surface:
         int(can[~lamp_facet].sum()) + (int(can[lamp_facet].sum()) if lamp_facet.sum() > 1 else 0),
         cast,
         overlap,
+        middle,
     )
+
+
+def _begun(corners, middle):
+    """Triangles (T, 3, 3), each from its corner farthest from the model's middle, and not where the file begins it."""
+    first = extent.farthest(corners, middle, 1.0)
+    return np.take_along_axis(corners, ((first[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
+
+
+def _told_apart(middle, origin, axes, size):
+    """The same rectangles (origin, axes, size) from their corner farthest from the model's middle, the longer side
+    first: where random numbers fall on a facet follows the scene and not the corners of its file.
+    """
+    ends = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    corners = origin[:, None] + np.einsum("ka,fa,fai->fki", ends, size, axes)
+    k = extent.farthest(corners, middle, 1.0)
+    along, across = axes[:, 0], axes[:, 1]
+    turned = np.stack(
+        [np.stack(a, axis=1) for a in ((along, across), (across, -along), (-along, -across), (-across, along))]
+    )
+    f = np.arange(len(k))
+    size = np.where((k % 2 == 1)[:, None], size[:, ::-1], size)
+    return corners[f, k], turned[k, f], size
 
 
 def _inside(model, lids, corners, facet, normal, lamp_facet):

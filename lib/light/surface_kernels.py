@@ -7,6 +7,8 @@ import numpy as np
 from lib.core.compiled import njit
 from lib.given.rays_kernels import OFFSET
 
+SMALLER = 1e-6  # share by which a rectangle must be smaller than one found before: rounding chooses none
+
 
 class SurfaceArrays(NamedTuple):
     """What kernels need of a Surface; see there."""
@@ -51,7 +53,7 @@ def frames(corners, order, start, normal):
                         v = np.dot(p, y)
                         u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
                 area = (u1 - u0) * (v1 - v0)
-                if area < best * (1 - 1e-9):
+                if area < best * (1 - SMALLER):
                     best = area
                     axes[f, 0] = x
                     axes[f, 1] = y

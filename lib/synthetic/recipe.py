@@ -70,6 +70,7 @@ class Recipe:
     pair: Pair | None = None
     surfaces: dict = field(default_factory=dict)  # group -> Surface, of those that are more than diffuse
     lobes: dict = field(default_factory=dict)  # lamp group -> (aim (3,) unit, exponent), of those not lambertian
+    params: dict = field(default_factory=dict)  # stage -> {name: value} that scene.yaml asks for
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -152,6 +153,9 @@ class Recipe:
             lines.append(f"board: {{corners: {list(self.pair.board.corners)}, square_m: {self.pair.board.square_m}}}")
         if self.reference:
             lines.append("reference: {" + ", ".join(f"{g}: {triple(r)}" for g, r in self.reference.items()) + "}")
+        if self.params:
+            flow = lambda values: "{" + ", ".join(f"{k}: {v}" for k, v in values.items()) + "}"
+            lines.append("params: " + flow({stage: flow(values) for stage, values in self.params.items()}))
         return "\n".join(lines) + "\n"
 
 
