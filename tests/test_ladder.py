@@ -41,8 +41,8 @@ takes_long = pytest.mark.slow
 class Room(Studio):
     """A Studio that keeps its pictures: the same light under other noise, and other facts."""
 
-    def __init__(self, *words, patches=500, **options):
-        super().__init__(*words, patches=patches, fine=True, **options)
+    def __init__(self, *words, patches=500, fine=True, **options):
+        super().__init__(*words, patches=patches, fine=fine, **options)
         self.kept = {}
 
     def seen(self, materials, E=E):
@@ -59,6 +59,13 @@ class Room(Studio):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     return Room(tmp_path_factory.mktemp("room"), rooms.room() | rooms.LAMP | PICTURE, CAMERA)
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory):
+    """The same, photographed and fitted by 160 patches."""
+    folder, objects = tmp_path_factory.mktemp("coarse"), rooms.room() | rooms.LAMP | PICTURE
+    return Room(folder, objects, CAMERA, patches=160, fine=False)
 
 
 @pytest.fixture(scope="module")
@@ -319,16 +326,14 @@ def test_a_glossy_picture(room, alpha, rho_d, rho_s):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("noise", [0.004, 0.002])
-def test_a_wrong_gamma_is_named_beside_a_sharp_lobe(room, noise):
-    """2.0 for 2.2, 9 % off. Where noise hides it, sigma has it: it was 4.5 to 28 sigma off and green."""
+@pytest.mark.parametrize("kind, noise", [("coarse", 0.004), ("room", 0.002)])
+def test_a_wrong_gamma_is_named_beside_a_sharp_lobe(kind, noise, request):
+    """2.0 for 2.2: its light is less sure than a dull lobe's, but not by so much."""
+    room = request.getfixturevalue(kind)
     light = room.seen({"picture": (0.03, 0.2, 0.3)})
     for seed in (1, 2, 3):
         found, _ = room.fit(photograph(light, seed=seed, noise=noise), E, transfer={"gamma": 2.0})
-        if found["status"] == "converged" and noise > 0.003:
-            assert all(z < 3 for z in deviations(found)), found["groups"]
-        else:
-            assert found["status"] == "does not fit" and [why["cause"] for why in found["why"]] == ["transfer"]
+        assert found["status"] == "does not fit" and [why["cause"] for why in found["why"]] == ["transfer"]
 
 
 @pytest.mark.scene
@@ -483,9 +488,8 @@ def open_scene(tmp_path_factory):
     """Two walls are missing, and the mirror shows the dark outside."""
     objects = rooms.room() | rooms.LAMP | PICTURE
     objects["room"] = [wall for wall in objects["room"] if wall[0] not in ("east", "south")]
-    return Room(
-        tmp_path_factory.mktemp("open"), objects, look((5.8, 1.4, 1.3), (0, 1.5, 1.2), size=(96, 72), focal=90.0)
-    )
+    camera = look((5.8, 1.4, 1.3), (0, 1.5, 1.2), size=(96, 72), focal=90.0)
+    return Room(tmp_path_factory.mktemp("open"), objects, camera, patches=160, fine=False)  # finer, black is told
 
 
 def black(open_scene, picture=("mirror", 1.0)):
@@ -515,12 +519,11 @@ def test_a_mirror_that_shows_nothing_spoils_nobody(open_scene, picture):
 
 @pytest.mark.parametrize("picture", [("mirror", 0.1), 0.0], ids=str)
 def test_black_or_a_mirror_is_said(open_scene, picture):
-    """The group is unknown, and where the others cannot tell which, a warning says so; black they may tell, as here."""
+    """Where the others cannot tell which, the group is unknown and a warning says so."""
     found, report = open_scene.fit(photograph(black(open_scene, picture)), E, transfer=KNOWN)
     entry = found["groups"]["picture"]
     assert not entry["identified"] and entry["rho_d"] is None and max(entry["assumed"]) < 0.05
-    said = any("'picture' is black or a mirror" in line for line in report["warnings"])
-    assert said or picture == 0.0 and all(z < 2 for z in deviations(found))
+    assert any("'picture' is black or a mirror" in line for line in report["warnings"])
 
 
 @pytest.mark.scene
@@ -551,7 +554,8 @@ def test_srgb_beside_a_mirror(room, E, noise):
     """The mirror's light looked like a lens's shadow under another gamma: 24 % off, 8 sigma, and green."""
     found, _ = room.found({"picture": ("mirror", 1.0)}, E, transfer="auto", photo={"srgb": True, "noise": noise})
     assert found["transfer"]["kind"] == "srgb" and found["explained"] == [] and found["status"] == "converged"
-    assert is_mirror(found) and found["scale"] == "lamps"
+    assert kinds(found) == {"picture": "mirror"} or E == (3.0,) and is_mirror(found)
+    assert found["scale"] == "lamps"
     agree(found)
 
 
