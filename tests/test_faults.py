@@ -2,6 +2,7 @@
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -140,3 +141,33 @@ def test_an_interrupt_waits_for_the_end_of_an_import(tmp_path):
     words = [sys.executable, "-c", program % (str(Path(stage.__file__).parents[2]), str(tmp_path))]
     run = subprocess.run(words, capture_output=True, text=True)
     assert run.returncode == 130 and run.stdout == "loaded\n" and "Traceback" not in run.stderr
+
+
+def test_an_interrupt_that_a_library_makes_an_error_of_is_one_all_the_same(tmp_path):
+    """numpy makes a TypeError of one that comes while it compares rows."""
+    program = (
+        "import os, signal\nfrom lib.core import stage\n"
+        "def main(opt):\n"
+        "    try:\n        os.kill(os.getpid(), signal.%s)\n"
+        "    except BaseException:\n        raise TypeError('rows')\n"
+        "stage.run(main, stage.parser('x'))\n"
+    )
+    for sign in ("SIGINT", "SIGTERM"):
+        words = [sys.executable, "-c", program % sign]
+        run = subprocess.run(words, capture_output=True, text=True, cwd=Path(stage.__file__).parents[2])
+        assert run.returncode == 128 + getattr(signal, sign) and len(run.stderr.splitlines()) == 1
+
+
+def test_a_plan_that_is_interrupted_says_one_line():
+    root = Path(stage.__file__).parents[2]
+    program = (
+        "import os, runpy, signal, sys\n"
+        "class Asked:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'lib.planning.walk': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Asked())\n"
+        "sys.argv[1:] = ['--show']\n"
+        "runpy.run_module('lib.planning.plan', run_name='__main__')\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root)
+    assert run.returncode == 130 and run.stderr == "plan.py: interrupted: nothing of it was written\n"

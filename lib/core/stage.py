@@ -41,6 +41,8 @@ MENDABLE = (
     IsADirectoryError,
     NotADirectoryError,
 )  # by the user, if they name a file
+STOPPED = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+_asked = []  # the signals that stopped this process
 DEAF = ("importlib", "llvmlite")  # in whose code no exception may be raised from without
 LATER_S = 0.05  # after which a stage that was in such code is asked again to stop
 LACKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENOMEM, errno.EMFILE)  # of the machine
@@ -57,11 +59,11 @@ def run(main, parser, argv=None):
     parser.error = lambda message: parser.exit(2, f"{name}: {message} (--help lists the options)\n")
     opt = parser.parse_args(argv)
     _forget_missing(opt)
-    for asked in (signal.SIGINT, signal.SIGTERM):
+    for asked in STOPPED:
         signal.signal(asked, _stop)
     status = 2
     try:
-        main(opt)
+        _unless_stopped(main, opt)
     except BadInput as bad:
         problems = bad.problems
     except MENDABLE as error:
@@ -75,8 +77,7 @@ def run(main, parser, argv=None):
             raise
         status, problems = 1, (f"{os.fsdecode(error.filename)}: {error.strerror}: nothing of it was written",)
     except KeyboardInterrupt:
-        print(f"{name}: interrupted: nothing of it was written", file=sys.stderr)
-        sys.exit(128 + signal.SIGINT)
+        sys.exit(_told(name, _asked[0] if _asked else signal.SIGINT))
     except BrokenPipeError:  # who read what is printed has gone: `make plan | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
@@ -87,6 +88,18 @@ def run(main, parser, argv=None):
     for problem in problems:
         print(f"{name}: {problem}", file=sys.stderr)
     sys.exit(status)
+
+
+def _told(name, asked):
+    """Says that the process stops; its exit status."""
+    print(f"{name}: {STOPPED[asked]}: nothing of it was written", file=sys.stderr, flush=True)
+    return 128 + asked
+
+
+def listen(name):
+    """Until `run`, while a program still imports: where it is asked to stop it ends at once, in one line."""
+    for asked in STOPPED:
+        signal.signal(asked, lambda asked, _: os._exit(_told(name, asked)))
 
 
 def _stop(asked, frame):
@@ -101,10 +114,19 @@ def _stop(asked, frame):
             signal.setitimer(signal.ITIMER_REAL, LATER_S)
             return
         frame = frame.f_back
-    if asked == signal.SIGINT:
-        raise KeyboardInterrupt
-    print(f"{os.path.basename(sys.argv[0])}: terminated: nothing of it was written", file=sys.stderr)
-    sys.exit(128 + signal.SIGTERM)
+    _asked.append(asked)
+    raise KeyboardInterrupt
+
+
+def _unless_stopped(main, opt):
+    """main(opt). Libraries make exceptions of their own of one that comes while they call back: numpy, comparing rows,
+    a TypeError. Whatever comes once the process was asked to stop is that it stops."""
+    try:
+        main(opt)
+    except Exception:
+        if _asked:
+            raise KeyboardInterrupt from None
+        raise
 
 
 def _end_at_once():

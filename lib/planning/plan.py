@@ -13,6 +13,9 @@ import sys
 from pathlib import Path
 
 from lib.core import stage
+
+if __name__ == "__main__":
+    stage.listen("plan.py")  # what follows takes a while to import
 from lib.core.stage import BadInput
 from lib.planning import makefile, scene
 from lib.planning.near_misses import alike

@@ -135,7 +135,8 @@ def stopped(room, count, before, seconds, kind, sign, rng):
     if process.poll() is None:
         os.killpg(process.pid, sign)
     err = process.communicate()[1]
-    why = "Traceback" if "Traceback" in err else same(room, before)
+    ours = "Traceback" in err and "Fatal Python error: init_" not in err  # Python's own start has not read our code yet
+    why = "Traceback" if ours else same(room, before)
     count.add(kind, not why, why)
 
 
