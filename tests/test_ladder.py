@@ -349,6 +349,21 @@ def test_a_wrong_gamma_is_named_or_in_sigma(room, picture):
             assert gamma != 2.2 and "transfer" in [why["cause"] for why in found["why"]]
 
 
+@pytest.mark.scene
+@pytest.mark.parametrize("light", [9.0, 3.0])
+@pytest.mark.parametrize("picture", [(0.1, 0.2, 0.3), 0.3], ids=str)
+def test_srgb_that_is_a_gamma_is_named_or_in_sigma(room, picture, light):
+    """2.4 in dim light, said to be sRGB, was 15 % and 56 sigma off and green."""
+    seen = room.seen({"picture": picture}, (light,))
+    for gamma in (2.0, 2.2, 2.4, None):
+        shown = photograph(seen, srgb=True) if gamma is None else photograph(seen, gamma=gamma)
+        found, _ = room.fit(shown, (light,), transfer="srgb")
+        if found["status"] == "converged":
+            assert all(z < 3 for z in deviations(found)), (gamma, found["groups"])
+        else:
+            assert gamma and {why["cause"] for why in found["why"]} & {"transfer", "lamp_power"}
+
+
 @takes_long
 def test_a_right_gamma_is_not_accused_beside_a_sharp_lobe(room):
     light = room.seen({"picture": (0.03, 0.2, 0.3)})
