@@ -1,12 +1,15 @@
 """The same model in another unit, place and order: the same surface, patches and rays, to the last bit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lib.given import extent
+from lib.given import extent, model
 from lib.light import adapt, form_factors
-from lib.light.lamps import emitters, patch_direct
+from lib.light import surface as surfaces
+from lib.light.lamps import direct, emitters, patch_direct
 from tests.helpers import rooms
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -72,6 +75,65 @@ def test_another_order_is_the_same_light(tmp_path, seed):
     there = light(rooms.surface(tmp_path / "there.obj", shuffled(drawn(seed), seed)))
     for a, b in zip(here, there, strict=True):
         np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-12 * np.abs(a).max())
+
+
+def mirrored(objects, axis):
+    flip = np.where(np.arange(3) == axis, -1.0, 1.0)
+    return {name: [(g, list((np.array(p) * flip)[::-1])) for g, p in polygons] for name, polygons in objects.items()}
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("seed", range(6))
+def test_a_mirrored_model_is_the_same_light(tmp_path, seed, axis):
+    here = rooms.surface(tmp_path / "here.obj", drawn(seed))
+    there = rooms.surface(tmp_path / "there.obj", mirrored(drawn(seed), axis))
+    assert here.hand == -there.hand
+    for a, b in zip(light(here), light(there), strict=True):
+        np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-12 * np.abs(a).max())
+
+
+def test_hand():
+    """It turns with the places, is the other of what is mirrored, and 1 of what is its own mirror image."""
+    for seed in range(20):
+        p = np.random.default_rng(seed).normal(size=(9, 3))
+        R = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+        hand = extent.hand(p, p.mean(axis=0))
+        assert extent.hand(p @ R.T, R @ p.mean(axis=0)) == hand == extent.hand(p[::-1], p.mean(axis=0))
+        assert extent.hand(-p, -p.mean(axis=0)) == -hand
+        flat = np.vstack([p * [1, 1, 0], p * [1, 1, 0]])
+        assert extent.hand(flat, flat.mean(axis=0)) == 1
+        both = np.vstack([p, p * [1, 1, -1]])
+        assert extent.hand(both, both.mean(axis=0)) == 1
+
+
+def test_a_moved_box_keeps_its_frames(tmp_path):
+    """Its patches lie on it where they did, wherever its farthest corners are now."""
+    box = lambda x: {**rooms.room(4, 3, 2.5), **rooms.LAMP, **rooms.solid("box", x, 1.1, 0, x + 0.8, 1.8, 0.7)}
+    models = [model.load(rooms.write(tmp_path / f"{k}.obj", box(x))) for k, x in enumerate((1.2, 2.1))]
+    here = surfaces.surface(models[0], ("lamp",))
+    alone, like = surfaces.surface(models[1], ("lamp",)), surfaces.surface(replace(models[1]), ("lamp",), here)
+    assert np.abs(alone.axes - here.axes).max() > 0.5
+    np.testing.assert_allclose(like.axes, here.axes, atol=1e-9)
+    step = like.origin - here.origin
+    mine = here.object == models[0].objects.index("box")
+    np.testing.assert_allclose(
+        step[mine], np.broadcast_to([0.9 / here.local.diagonal, 0, 0], step[mine].shape), atol=1e-6
+    )
+    np.testing.assert_allclose(step[~mine], 0, atol=1e-9)
+
+
+def test_light_of_one_set_of_pixels_does_not_hang_on_another_s_size(tmp_path):
+    """A pixel more in a tile drew other shadow rays for all that follow."""
+    s = rooms.surface(tmp_path / "room.obj", drawn(1))
+    lamps = emitters(s, ["lamp"])
+    random = np.random.default_rng(1)
+    p = s.local.points(np.column_stack([random.uniform(0.2, 2.8, (40, 2)), np.full(40, 1e-3)]))
+    n, of = (
+        np.array([[0.0, 0, 1]]),
+        lambda start, p: direct(s, lamps, p, n, np.zeros(len(p), int), 1, n_samples=4, start=start),
+    )
+    whole, less = of(np.array([0, 13, 30, 40]), p), of(np.array([0, 12, 29, 39]), np.delete(p, 3, axis=0))
+    np.testing.assert_array_equal(whole[1:], less[1:])
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 8, 50])

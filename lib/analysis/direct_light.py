@@ -48,7 +48,8 @@ class DirectLight:
         """The light of one lamp, or of all, at some points of each patch and at some pixels of each tile."""
         if model is self.view.model and lamp in self._given:
             return self._given[lamp]
-        surface, names = surfaces.surface(model, self.factors.lamps), self.factors.lamps
+        names = self.factors.lamps
+        surface = self.surface if model is self.view.model else surfaces.surface(model, names, self.surface)
         emitters, tiles = lamps_.emitters(surface, names, self.factors.lobes), self.found.tiles
         emitters = [emitter for emitter in emitters if lamp in (None, names[emitter.lamp])]
         D = lamps_.patch_direct(surface, self.factors.mesh, emitters, len(names), n_points=POINTS)

@@ -76,13 +76,15 @@ IN_GAP = 0.3
 AUDIT = Sampling(rays_per_tile=128, rays_per_facet=0, lamp_samples=1, tiles_per_facet=60, seed=77)
 
 
-def blocks(facet, used, place=None, *, largest=20, smallest=4, tiles_per_facet=24):
+def blocks(facet, used, place=None, hand=1, *, largest=20, smallest=4, tiles_per_facet=24):
     """Cut the used pixels into square tiles of one facet each, small on small facets.
 
     facet : (H, W) int, -1 = nothing;  used : (H, W) bool;  place : (F,) of each facet in the order of the tiles
+    hand : of the model: tiles are cut from the left, -1: from the right
     Returns facet (T,), start (T + 1,), pixel (M,).
     """
-    y, x = np.nonzero(used & (facet >= 0))
+    y, x = np.nonzero((used & (facet >= 0))[:, ::hand])
+    facet = facet[:, ::hand]
     f = facet[y, x].astype(np.int64)
     if len(f) == 0:
         return np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64)
@@ -95,7 +97,7 @@ def blocks(facet, used, place=None, *, largest=20, smallest=4, tiles_per_facet=2
     return (
         f[order][starts].astype(np.int32),
         np.append(starts, len(order)).astype(np.int64),
-        (y * facet.shape[1] + x)[order],
+        (y * facet.shape[1] + (x if hand > 0 else facet.shape[1] - 1 - x))[order],
     )
 
 
@@ -118,16 +120,18 @@ def pure(photograph, facet):
 
 def _direct(surface, emitters, n_lamps, p, side, start, sampling):
     """(T, L) direct factors of the tiles: small ones have more samples of the lamps in each pixel."""
-    of = lambda p, side, start, n: lamps.direct(
-        surface, emitters, p, side_normals(surface), side, n_lamps, n_samples=n, start=start, seed=sampling.seed - 5
+    normals, seed = side_normals(surface), sampling.seed - 5
+    of = lambda p, side, start, n, numbers: lamps.direct(
+        surface, emitters, p, normals, side, n_lamps, n_samples=n, start=start, seed=seed, numbers=numbers
     )
-    found = of(p, side, start, sampling.lamp_samples)
+    numbers = lamps.numbered(len(p), start)
+    found = of(p, side, start, sampling.lamp_samples, numbers)
     count = np.diff(start)
     wanted = (2 ** np.ceil(np.log2(LAMP_SAMPLES / np.maximum(count, 1)))).astype(np.int64)
     for n in np.unique(wanted[wanted > sampling.lamp_samples]):
         few = wanted == n
         mine = np.repeat(few, count)
-        found[few] = of(p[mine], side[mine], np.append(0, np.cumsum(count[few])), int(n))
+        found[few] = of(p[mine], side[mine], np.append(0, np.cumsum(count[few])), int(n), numbers[mine])
     return found
 
 
@@ -140,7 +144,13 @@ def build(
     """
     s = sampling
     tile_facet, start, pixel = blocks(
-        facet, used, surface.place, largest=s.largest, smallest=s.smallest, tiles_per_facet=s.tiles_per_facet
+        facet,
+        used,
+        surface.place,
+        surface.hand,
+        largest=s.largest,
+        smallest=s.smallest,
+        tiles_per_facet=s.tiles_per_facet,
     )
     p, side = backproject(surface, camera, np.repeat(tile_facet, np.diff(start)), pixel)
     direct = _direct(surface, emitters, n_lamps, p, side, start, s)

@@ -336,7 +336,7 @@ class _ShapeSearch:
     def __init__(self, site, lobe, g, kept):
         self.lobe, self.group, self.kept, self.found = lobe, g, kept, {}
         facet = site.main_facet(g)
-        self.normal, self.x = site.surface.normal[facet], site.surface.axes[facet, 0]
+        self.normal, (self.x, self.y) = site.surface.normal[facet], site.surface.axes[facet]
 
     def at(self, alpha, tangent=None, rays=RAYS) -> LobeFit:
         alpha = np.clip(alpha, LOWEST, HIGHEST)
@@ -359,7 +359,7 @@ class _ShapeSearch:
 
     def turned(self, angle):
         """The tangent turned about the normal of the group's largest facet."""
-        return np.cos(angle) * self.x + np.sin(angle) * np.cross(self.normal, self.x)
+        return np.cos(angle) * self.x + np.sin(angle) * self.y
 
     def isotropic(self, rough) -> Trial:
         """Bounded minimisation around a rough alpha, one of ALPHAS."""

@@ -144,7 +144,12 @@ class Site:
         used = np.zeros(H * W, bool)
         used[pixel] = True
         _, start, at = gather.blocks(
-            label.reshape(H, W), used.reshape(H, W), largest=largest, smallest=smallest, tiles_per_facet=per_facet
+            label.reshape(H, W),
+            used.reshape(H, W),
+            hand=self.surface.hand,
+            largest=largest,
+            smallest=smallest,
+            tiles_per_facet=per_facet,
         )
         where = np.empty(H * W, np.int64)
         where[pixel] = np.arange(len(pixel))

@@ -10,6 +10,7 @@ import itertools
 import numpy as np
 
 SAME = 1e-6  # of the model's size: places that differ by less are one
+FLAT = 1e-9  # the volume of three vectors, at most 1 long, that counts as none
 
 
 def middle(p):
@@ -29,6 +30,19 @@ def farthest(p, centre, size):
     far = np.rint(np.linalg.norm(p - centre, axis=2) / (SAME * size))
     order = np.lexsort((v[..., 2], v[..., 1], v[..., 0], -far), axis=1)
     return order[:, 0]
+
+
+def hand(p, centre):
+    """1, or -1 where places (n, 3) are the mirror image of those that have 1; 1 of what is its own mirror image.
+
+    The sense of three sums that turn and mirror with the places, each counted once: of v |v|, v |v|^2 and v |v|^3,
+    v the way from the centre.
+    """
+    v = p.reshape(-1, 3) - centre
+    v = v[np.unique(np.rint(v / (SAME * max(float(np.abs(v).max()), 1e-300))), axis=0, return_index=True)[1]]
+    far = np.linalg.norm(v, axis=1, keepdims=True)
+    sums = [(v * far**k).sum(axis=0) / max(float((far ** (k + 1)).sum()), 1e-300) for k in (1, 2, 3)]
+    return -1 if np.linalg.det(sums) < -FLAT else 1
 
 
 def smallest_ball(p):

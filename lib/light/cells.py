@@ -13,7 +13,7 @@ import numpy as np
 
 from lib.light import cells_kernels as kernels
 from lib.light.cells_kernels import PatchPieces, PatchTable
-from lib.light.surface import Surface
+from lib.light.surface import Surface, on_hand
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Tree:
     def __init__(self, surface: Surface, sides, coarse):
         """sides : (n,) int, those that are cut;  coarse : local, a root cell is no wider"""
         self.surface = surface
-        corners, facet = surface.corners, surface.facet
+        corners, facet = on_hand(surface.corners, surface.hand), surface.facet
         relative = corners - surface.origin[facet][:, None, :]
         self.uv = np.stack([np.einsum("tij,tj->ti", relative, surface.axes[facet, a]) for a in (0, 1)], axis=-1)
         self.order = np.lexsort((surface.triangle_place, facet)).astype(np.int64)

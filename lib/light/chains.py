@@ -55,8 +55,9 @@ class Finish:
         of = number[surface.group]
         axes = np.array(surface.axes)
         for f in np.flatnonzero(of >= 0):
-            if self.kind[of[f]] == GLOSSY:
+            if self.kind[of[f]] == GLOSSY and self.tangent[of[f]].any():
                 axes[f] = kernels.frame(surface.normal[f], self.tangent[of[f]])
+                axes[f, 1] *= surface.hand
         return of, axes
 
 

@@ -93,7 +93,7 @@ def outlines(surface, mesh):
         loops = _outline(pieces, 1e-9 * np.ptp(pieces.reshape(-1, 2), axis=0).max())
         for uv in loops:
             p = surface.origin[f[i]] + uv[:, :1] * surface.axes[f[i], 0] + uv[:, 1:] * surface.axes[f[i], 1]
-            corners.append(p[::-1] if mesh.side[i] & 1 else p)
+            corners.append(p[::-1] if (mesh.side[i] & 1) ^ (surface.hand < 0) else p)
             loop_start.append(loop_start[-1] + len(p))
         patch_start.append(len(loop_start) - 1)
     return np.ascontiguousarray(np.concatenate(corners)), np.array(loop_start), np.array(patch_start)

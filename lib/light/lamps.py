@@ -17,7 +17,7 @@ from lib.light.cells import Mesh
 from lib.light.cells_kernels import patch_points
 from lib.light.form_factors import CHUNK
 from lib.light.lamps_kernels import LampArrays
-from lib.light.surface import Surface, covered, side_normals, triangle_areas
+from lib.light.surface import Surface, covered, on_hand, side_normals, triangle_areas
 
 LAMBERTIAN = np.array([0.0, 0.0, 1.0, -1.0])  # no lobe
 
@@ -81,7 +81,9 @@ def emitters(surface: Surface, lamps, lobes=None) -> list[Emitter]:
             facets_of_it = tuple(int(f) for f in chosen)
             lobe = (lobes or {}).get(name, LAMBERTIAN)
             normal = surface.normal[surface.facet[t]]
-            result.append(Emitter(lamp, surface.corners[t], normal, cdf, facets_of_it, lobe=lobe))
+            result.append(
+                Emitter(lamp, on_hand(surface.corners[t], surface.hand), normal, cdf, facets_of_it, lobe=lobe)
+            )
     return result
 
 
@@ -138,8 +140,10 @@ def direct(
     points : (M, 3) local, on their facets;  normals : (K, 3);  normal_idx : (M,) the normal of each point
     start : (S + 1,) sets of consecutive points -> (S, n_lamps);  weight : (M,) of the points in their set
     shadows : False: as if nothing stood in between (and mirrors showed all of a mirrored lamp)
-    numbers : (M,) of the points, whose shadow rays are then the same whatever points there are beside them
+    numbers : (M,) of the points: their shadow rays follow these, and not what points there are beside them. By default
+        that in `points`, or by `numbered` of `start`
     """
+    numbers = numbered(len(points), start) if numbers is None else numbers
     weight = np.ones(len(points)) if weight is None else np.asarray(weight, float)
     first = np.arange(len(points)) if start is None else np.asarray(start[:-1])
     sets = len(first)
@@ -154,7 +158,7 @@ def direct(
             seen, sent = np.zeros(len(points)), np.zeros(len(points))
             for a in range(0, len(lit), max(1, CHUNK // n_samples)):
                 which = lit[a : a + max(1, CHUNK // n_samples)]
-                shift = shifts(len(which) if numbers is None else numbers[which], n_samples, seed + 31 * number)
+                shift = shifts(numbers[which], n_samples, seed + 31 * number)
                 r, light = kernels.shadow_rays(points, normal_idx, normals, which, sequence, shift, lamp.arrays)
                 visible = reached(surface, lamp, r)
                 sent[which] = light.reshape(-1, n_samples).sum(axis=1)
@@ -164,6 +168,17 @@ def direct(
             total = total * np.divide(seen, sent, out=np.zeros_like(seen), where=sent > 0)
         factor[:, lamp.lamp] += total
     return factor
+
+
+def numbered(n, start=None):
+    """(n,) int: numbers of points. Each set of them begins at a number that no set before it can move, however many
+    points it has; so a pixel more in one tile is no other light in all that follow.  start : (S + 1,) or None
+    """
+    if start is None:
+        return np.arange(n)
+    count = np.diff(start)
+    block = 1 << int(count.max(initial=1) - 1).bit_length()
+    return np.arange(n) + np.repeat(block * np.arange(len(count)) - start[:-1], count)
 
 
 def patch_direct(surface: Surface, mesh: Mesh, lamps, n_lamps, *, n_points, n_samples=4, seed=0) -> np.ndarray:

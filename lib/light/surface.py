@@ -37,7 +37,7 @@ class Surface:
     group: np.ndarray  # (F,) int32, -1: a lid
     object: np.ndarray  # (F,) int32
     origin: np.ndarray  # (F, 3) a corner of the bounding rectangle
-    axes: np.ndarray  # (F, 2, 3) unit, in the plane; axes[0] x axes[1] = normal
+    axes: np.ndarray  # (F, 2, 3) unit, in the plane; axes[0] x axes[1] = hand * normal
     size: np.ndarray  # (F, 2) of the bounding rectangle
     inside: np.ndarray  # (2 F,) bool: the side looks into a solid
     groups: tuple
@@ -48,6 +48,7 @@ class Surface:
     # (F,) int8, of a solid that may reach into another: 1 where its inside is at the back, -1 at the front; else 0
     overlap: np.ndarray
     middle: np.ndarray  # (3,) of the model's corners, see lib/given/extent.py
+    hand: int  # 1 or -1: that of the model, see lib/given/extent.py. Mirrored it has the same frames, mirrored
 
     @cached_property
     def place(self) -> np.ndarray:
@@ -93,7 +94,8 @@ def _surface(model, lamps, like) -> Surface:
     local = Local.of(model) if like is None else like.local
     corners = local.points(model.vertices)[model.triangles]
     middle = extent.middle(corners.reshape(-1, 3)) if like is None else like.middle
-    corners = _begun(corners, middle)
+    hand = extent.hand(corners, middle) if like is None else like.hand
+    corners = _begun(corners, middle, like)
     facet = np.array(model.triangle_facet, np.int32)  # copies: kernels would be compiled again for read-only arrays
     normal = np.rint(np.array(model.facet_normal, float) * GRID) / GRID  # as local coordinates
     can = ray_tools.occluders(corners, facet, len(normal))
@@ -116,7 +118,8 @@ def _surface(model, lamps, like) -> Surface:
         group = np.append(group, np.full(len(faces), -1)).astype(np.int32)
     order = np.argsort(facet, kind="stable").astype(np.int64)
     start = np.searchsorted(facet[order], np.arange(len(normal) + 1)).astype(np.int64)
-    origin, axes, size = _told_apart(middle, *kernels.frames(corners, order, start, normal))
+    edges = kernels.frames(on_hand(corners, hand), order, start, normal)
+    origin, axes, size = _told_apart(middle, hand, like, *edges)
     if like is not None:
         gone = np.setdiff1d(np.flatnonzero(like.group >= 0), facet)
         origin[gone], axes[gone], size[gone] = like.origin[gone], like.axes[gone], like.size[gone]
@@ -138,18 +141,30 @@ def _surface(model, lamps, like) -> Surface:
         cast,
         overlap,
         middle,
+        hand,
     )
 
 
-def _begun(corners, middle):
-    """Triangles (T, 3, 3), each from its corner farthest from the model's middle, and not where the file begins it."""
+def _begun(corners, middle, like):
+    """Triangles (T, 3, 3), each from its corner farthest from the model's middle, and not where the file begins it; as
+    in `like`, where that has the same."""
     first = extent.farthest(corners, middle, 1.0)
+    if like is not None and np.count_nonzero(like.group[like.facet] >= 0) == len(corners):
+        before = like.corners[: len(corners)]
+        away = [np.linalg.norm(np.roll(corners, -k, axis=1) - before, axis=2).sum(axis=1) for k in range(3)]
+        first = np.argmin(away, axis=0)
     return np.take_along_axis(corners, ((first[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
 
 
-def _told_apart(middle, origin, axes, size):
-    """The same rectangles (origin, axes, size) from their corner farthest from the model's middle, the longer side
-    first: where random numbers fall on a facet follows the scene and not the corners of its file.
+def on_hand(corners, hand):
+    """Triangles (T, 3, 3) whose corners go round on the model's hand, as mirrored: what is drawn on them follows it."""
+    return corners if hand > 0 else np.ascontiguousarray(corners[:, [0, 2, 1]])
+
+
+def _told_apart(middle, hand, like, origin, axes, size):
+    """The same rectangles (origin, axes, size) from their corner farthest from the model's middle, the first side on
+    the model's hand: where random numbers fall on a facet follows the scene and not the corners of its file. Facets
+    that `like` has, too, keep their corner, so that its patches lie on them where they did.
     """
     ends = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     corners = origin[:, None] + np.einsum("ka,fa,fai->fki", ends, size, axes)
@@ -157,10 +172,13 @@ def _told_apart(middle, origin, axes, size):
     along, across = axes[:, 0], axes[:, 1]
     turned = np.stack(
         [np.stack(a, axis=1) for a in ((along, across), (across, -along), (-along, -across), (-across, along))]
-    )
+    )[:, :, ::hand]
+    if like is not None:
+        n = np.count_nonzero(like.group >= 0)
+        k[:n] = np.einsum("kfi,fi->kf", turned[:, :n, 0], like.axes[:n, 0]).argmax(axis=0)
     f = np.arange(len(k))
     size = np.where((k % 2 == 1)[:, None], size[:, ::-1], size)
-    return corners[f, k], turned[k, f], size
+    return corners[f, k], np.ascontiguousarray(turned[k, f]), np.ascontiguousarray(size[:, ::hand])
 
 
 def _inside(model, lids, corners, facet, normal, lamp_facet):
