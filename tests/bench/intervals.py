@@ -57,17 +57,19 @@ def studio(folder, objects, camera, **fineness):
 
 def noise_sigma(problem, result):
     """(n,) what the pixels' noise alone makes of a value's error: (J'WJ + P)^-1 J'W V W J (J'WJ + P)^-1, on the
-    diagonal; V of the tiles' means, and of what JPEG rounds alike all over a group."""
+    diagonal; V of the tiles' means. What JPEG rounds nobody knows before: there V is what the tiles scatter by, the
+    channels of one together, as lib/analysis/uncertainty.py has it; they err together, since JPEG rounds light and not
+    channels."""
     from lib.analysis.problem import weights
-    from lib.analysis.uncertainty import colours
 
     at = result.at
     weight = weights(problem, at.residual).reshape(-1, 1)
-    variance = np.repeat(problem.tile_noise, problem.channels)[:, None]
     inverse = np.linalg.inv(at.jacobian.T @ (weight * at.jacobian) + at.prior()[1])
     gain = inverse @ (weight * at.jacobian).T
-    alike = sum(((gain @ pattern.ravel()) ** 2 for _, pattern in colours(problem)), np.zeros(len(gain)))
-    return np.sqrt((gain**2) @ variance[:, 0] + alike)
+    if problem.block_noise:
+        each = (gain * at.residual.reshape(-1)).reshape(len(gain), -1, problem.channels).sum(axis=2)
+        return np.sqrt((each**2).sum(axis=1))
+    return np.sqrt((gain**2) @ np.repeat(problem.tile_noise, problem.channels))
 
 
 def photographs(linear, how, seeds):
