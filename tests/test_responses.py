@@ -199,7 +199,7 @@ def test_sigma_knows_what_a_narrow_range_does_not_tell(seed):
         start=np.arange(len(kept) + 1) * n,
         pixels=shown + 0.002 * np.random.default_rng(seed).standard_normal(shown.shape),
     )
-    doubted = replace(problem, doubted=responses.doubted(Candidate.of(problem)))
+    doubted = replace(problem, doubted=responses.doubted(problem, Candidate.of(problem).result.state))
     off = lambda result: (np.abs(result.state.rho - rho)[1:] / result.sigma_rho[1:]).max()
     assert off(gauss_newton(problem)) > 3 > off(gauss_newton(doubted))
 

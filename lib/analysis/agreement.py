@@ -144,7 +144,7 @@ def _as_told(problem, result) -> CauseTerms:
     shown = np.clip(transfer.bare.display(transfer.mixed(B)), 1e-6, 1)
     by_exponent = (shown * np.log(shown))[..., None]
     terms = CauseTerms(("transfer",), by_exponent, np.array([TOLD_TO / USUAL_GAMMA]))
-    return terms.beside(responses.doubted(Candidate(problem, result, None)))
+    return terms.beside(responses.doubted(problem, result.state))
 
 
 def doubt(result: Result, other, share=1.0):

@@ -315,7 +315,7 @@ def _finished(given: Candidate, begun: Candidate, taken, leave: Leave, options) 
 
 def doubted(best: Candidate) -> CauseTerms | None:
     """What the camera may be as well."""
-    function, mixing = responses.doubted(best), matrix.doubted(best)
+    function, mixing = responses.doubted(best.problem, best.result.state), matrix.doubted(best)
     return function.beside(mixing) if function else mixing
 
 

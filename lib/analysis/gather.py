@@ -83,8 +83,9 @@ def blocks(facet, used, place=None, hand=1, *, largest=20, smallest=4, tiles_per
     hand : of the model: tiles are cut from the left, -1: from the right
     Returns facet (T,), start (T + 1,), pixel (M,).
     """
-    y, x = np.nonzero((used & (facet >= 0))[:, ::hand])
-    facet = facet[:, ::hand]
+    pixel = np.arange(facet.size).reshape(facet.shape)[:, ::hand]
+    facet, used = facet[:, ::hand], used[:, ::hand]
+    y, x = np.nonzero(used & (facet >= 0))
     f = facet[y, x].astype(np.int64)
     if len(f) == 0:
         return np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64)
@@ -97,7 +98,7 @@ def blocks(facet, used, place=None, hand=1, *, largest=20, smallest=4, tiles_per
     return (
         f[order][starts].astype(np.int32),
         np.append(starts, len(order)).astype(np.int64),
-        (y * facet.shape[1] + (x if hand > 0 else facet.shape[1] - 1 - x))[order],
+        pixel[y, x][order],
     )
 
 

@@ -129,7 +129,7 @@ def _in_mixed_colours(task, answer) -> Answer:
     mixed = matrix.fitted(before)
     if not mixed.beats(before) or not matrix.is_of_the_camera(mixed, before):
         return answer
-    problem = replace(mixed.problem, doubted=responses.doubted(mixed))
+    problem = replace(mixed.problem, doubted=responses.doubted(mixed.problem, mixed.result.state))
     result, scale = fit(problem, start=mixed.start._replace(near=None), **task.options)
     taken = explain.Taken(matrix.NAME, mixed.evidence.nats - before.evidence.nats, {})
     climb = replace(answer.climb, problem=problem, result=result, scale=scale)

@@ -107,11 +107,11 @@ def _is_resolved(one: Candidate, other: Candidate) -> bool:
     return Candidate.off(one, other) >= RESOLVED
 
 
-def doubted(found: Candidate) -> CauseTerms | None:
+def doubted(problem, state) -> CauseTerms | None:
     """What the other one of gamma and sRGB would change: in a narrow range of light nothing tells them apart."""
-    transfer, B = found.result.state.transfer, found.result.state.B
+    transfer, B = state.transfer, state.B
     other = {"gamma": Transfer("srgb"), "srgb": Transfer("gamma", USUAL_GAMMA)}.get(transfer.kind)
     if other is None:
         return None
-    there, here = (display_residual(found.problem, B, t)[0] for t in (replace(other, matrix=transfer.matrix), transfer))
+    there, here = (display_residual(problem, B, t)[0] for t in (replace(other, matrix=transfer.matrix), transfer))
     return CauseTerms(("response",), (there - here)[..., None], np.ones(1))
