@@ -118,6 +118,7 @@ def build(path, polygons) -> Model:
     pieces, warnings, crossed = planar_pieces(path, polygons, position)
     facet_of_piece, closed = joined(vertices, position, pieces, len(polygons.objects))
     triangles, of_piece, crossed_too = triangulated(vertices, pieces)
+    warnings = [*polygons.notes, *warnings]
     if crossed + crossed_too:
         warnings.append(f"{crossed + crossed_too} polygons cross themselves: their triangles may overlap")
 

@@ -22,6 +22,7 @@ class Polygons(NamedTuple):
     objects: list  # names
     groups: list  # names
     absent: tuple = ()  # facets that are left out and keep their numbers: (number, object, group), by number
+    notes: tuple = ()  # of str: what the file holds that is not read, and what was made of what it holds
 
 
 class Pieces(NamedTuple):
