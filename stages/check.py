@@ -53,6 +53,7 @@ def main(opt):
                 image.orientation(opt.photograph),
             )
             lines = (*view.model.warnings, *model_checks.findings(view.model, view.camera, index.facet))
+            found += [first_look.Finding("model", line, False) for line in view.model.notes]
             found += [first_look.Finding("model", line, True) for line in lines]
             segments = edges.wireframe(view.model, view.camera, index.facet, index.depth)
         doubts = sum(finding.doubt for finding in found)

@@ -44,7 +44,7 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
     said += [f"model: {line}" for line in lines]
     world = models.load(next(folder / name for name in files if name.startswith("model.")))
     said.append(f"model: {len(world.groups)} groups: {_listed(world.groups)}")
-    said += [f"model: {warning}" for warning in world.warnings]
+    said += [f"model: {line}" for line in (*world.notes, *world.warnings)]
     lamps = _lamps(world.groups, foreign_models.emitters(files))
     found = foreign_cameras.read(camera, size, picture) if camera else None
     unit = _unit(world)

@@ -29,6 +29,7 @@ class Model:
     groups: tuple  # of str: the same
     warnings: tuple = ()  # of str: what was dropped or mended on the way in
     closed_objects: np.ndarray = field(default=None, repr=False)  # (O,) bool: every edge, by position, is shared
+    notes: tuple = ()  # of str: what the file holds that is not read, and what was made of what it holds
 
     @property
     def n_facets(self) -> int:
@@ -118,7 +119,6 @@ def build(path, polygons) -> Model:
     pieces, warnings, crossed = planar_pieces(path, polygons, position)
     facet_of_piece, closed = joined(vertices, position, pieces, len(polygons.objects))
     triangles, of_piece, crossed_too = triangulated(vertices, pieces)
-    warnings = [*polygons.notes, *warnings]
     if crossed + crossed_too:
         warnings.append(f"{crossed + crossed_too} polygons cross themselves: their triangles may overlap")
 
@@ -151,6 +151,7 @@ def build(path, polygons) -> Model:
         groups,
         tuple(warnings),
         closed[np.unique(pieces.object[source])],
+        tuple(polygons.notes),
     )
     return _with_absent(path, built, polygons) if polygons.absent else built
 
