@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from pathlib import Path
 from typing import NamedTuple
 
 from lib.core import artefact
 
+INDEX, HEAD = "index.html", 8000  # the file; its first characters, which tell whose it is
 PICTURES = ("rendered.png", "check.png")
 KINDS = {"converged": "good", "unique": "good", "does not fit": "bad", "nothing seen": "bad"}  # of a badge, else warn
 STYLE = """
@@ -44,11 +46,22 @@ class Card(NamedTuple):
     picture: str | None
 
 
+def is_ours(path) -> bool:
+    """Is an index.html one that `write` wrote?"""
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            head = file.read(HEAD)
+    except OSError:
+        return False
+    return re.search(r"<title>\d+ scenes</title>", head) is not None and "<h1>Scenes</h1>" in head
+
+
 def write(build):
-    """index.html of a folder of outputs: of every scene that has a page."""
+    """index.html of a folder of outputs: of every scene that has a page. One that is not ours stays."""
     cards = [card for folder in sorted(Path(build).iterdir()) if (card := _card(folder))]
-    if cards:
-        with artefact.writing(Path(build) / "index.html") as partial:
+    path = Path(build) / INDEX
+    if cards and (is_ours(path) or not path.exists()):
+        with artefact.writing(path) as partial:
             Path(partial).write_text(page(cards), encoding="utf-8")
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from lib.core import artefact
 from lib.core.stage import BadInput
 from lib.planning import folder, health, progress
+from lib.planning.clean import PLAN, WRITTEN
 from lib.planning.command import command, imports
 from lib.planning.files import OBJECTS, PHOTOGRAPH, PHOTOS, PICKED, further_files, here, object_files, pixels
 from lib.planning.walk import explain
@@ -25,7 +26,7 @@ SHELL := bash
 MAKEFLAGS += --no-builtin-rules --no-print-directory
 .PHONY: done
 # V=1 shows the command lines; they also lie in commands/
-Q := $(if $(filter 1,$(V)),,@)
+Q := $(if $(filter 1,$(value V)),,@)
 BEGAN := $(shell date +%s)
 """
 CHECK = (
@@ -52,7 +53,7 @@ def write(plan, python, root=ROOT, title=None):
         if goal != name and not plan.scene.given(goal):  # it was given and is no more: its copy must not pass for made
             (plan.build / goal).unlink(missing_ok=True)
             stamp.unlink()
-    _write(plan.build / "plan.mk", text)
+    _write(plan.build / PLAN, text)
     _expect(plan)
 
 
@@ -131,7 +132,7 @@ def _head(plan, python, title):
     lines.append(
         "\t@" + _shell([python, "-m", "lib.planning.progress", plan.build]) + " --began $(BEGAN) " + _shell(said)
     )
-    words = "# Written by lib/planning/plan.py; do not edit.\n# " + explain(plan).replace("\n", "\n# ") + "\n"
+    words = f"{WRITTEN}; do not edit.\n# " + explain(plan).replace("\n", "\n# ") + "\n"
     seconds = f"-include {_make(plan.build / 'commands' / 'seconds')}\n"
     return words + HEAD + seconds + "\n".join(lines) + "\n"
 
