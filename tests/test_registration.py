@@ -1,12 +1,16 @@
 """Pose and places of objects by edges: nothing on exact scenes, the given error on perturbed ones, honest sigmas."""
 
 import functools
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from lib.analysis import places
 from lib.given import image, model
 from lib.given.cameras import Camera, matrix_from_rt, read_cameramodel
+from lib.given.view import View
 from lib.vision.refinement.edges import model_edges, pyramid
 from lib.vision.registration.likelihood import fit, log_likelihood
 from lib.vision.registration.motions import Block, State, World, corrected_camera, corrected_model
@@ -230,3 +234,15 @@ def test_a_few_edges_that_happen_to_be_there_are_little_evidence():
     """A room in millimetres, laid on its side, has 7.5 pieces before the camera, all found: its axis was named."""
     assert Seen(1.0, 0.11, 7.5).nats < Seen(0.81, 0.18, 45).nats < Seen(0.976, 0.264, 207).nats
     assert Seen(0.2, 0.3, 100).nats == 0
+
+
+@pytest.mark.parametrize("name", ["office-1", "gallery-white", "flat-grey", "cornell", "two-mirrors"])
+@pytest.mark.parametrize(
+    ("axes", "words"), [(1, "mirrored .* left to right"), (0, "mirrored .* top to bottom"), ((0, 1), "upside down")]
+)
+def test_a_photograph_that_was_flipped_is_named(root, name, axes, words):
+    """One that is mirrored ended in "too few edges". Of the right ones nothing is said: see above."""
+    world, camera, photograph = scene(root, name)
+    photograph = replace(photograph, values=np.ascontiguousarray(np.flip(photograph.values, axes)))
+    (why,) = places.by_edges(View(world, camera, photograph), []).why
+    assert why.cause == "camera" and re.search(words, why.text)

@@ -1,8 +1,10 @@
 """Edges of the model that a camera sees, and where the photograph has them."""
 
+from __future__ import annotations
+
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +31,10 @@ class Level:
     noise: float
     dark: float
     white: float
+
+    def flipped(self, axes) -> Level:
+        """Mirrored from left to right (axis 1), from top to bottom (0), or both."""
+        return replace(self, picture=np.ascontiguousarray(np.flip(self.picture, axes)))
 
 
 def pyramid(photograph, coarsest):

@@ -1,4 +1,5 @@
-"""What may have been mistaken where a photograph hardly shows the model's edges: the unit, the up axis, the direction.
+"""What may have been mistaken where a photograph hardly shows the model's edges: the unit, the up axis, the direction,
+or a picture that was mirrored.
 
 Each mistake that people make is undone, and the edges are looked for again.
 """
@@ -18,6 +19,12 @@ from lib.vision.registration.register import COARSEST, SEARCH_PX, Registrar, See
 
 CLEAR, LEFT = 0.3, 0.3  # so much more of the edges must be there, or so little left of what was not
 QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # Y up to Z up
+MIRRORED = "the photograph is mirrored (mirror it back in a picture editor): flipped"
+FLIPS = {
+    f"{MIRRORED} left to right": 1,
+    f"{MIRRORED} top to bottom": 0,
+    "the photograph is turned: with the picture upside down": (0, 1),  # a camera's roll keeps its principal point
+}
 ROLLS = {"a quarter to the left": 90, "a quarter to the right": -90, "upside down": 180}
 
 
@@ -33,9 +40,9 @@ def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
     """The mistake without which the photograph tells most for the edges; None where no known one explains it."""
     level = pyramid(photograph, COARSEST)[max(f for f in (1, 2, 4, 8, 16) if f == 1 or camera.width >= f * SEARCH_PX)]
     tried = []
-    for cause, text, other, view in _undone(model, camera):
-        sight = Registrar(other, view, level).sight(State())
-        share = seen(sight.pieces, level.noise) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0, 0.0)
+    for cause, text, other, view, shown in _undone(model, camera, level):
+        sight = Registrar(other, view, shown).sight(State())
+        share = seen(sight.pieces, shown.noise) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0, 0.0)
         tried.append(Mistake(cause, f"{text}, the photograph has {share.found:.0%} of its edges, not {{}}", share))
     best = max(tried, key=lambda m: m.seen.nats)
     is_clear = best.seen.found >= min(now.found + CLEAR, 1 - LEFT * (1 - now.found))
@@ -44,19 +51,33 @@ def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
     return best._replace(text=best.text.format(f"{now.found:.0%}"))
 
 
-def _undone(model, camera):
-    """(cause, in words, model, camera) without each mistake."""
+def _undone(model, camera, level):
+    """(cause, in words, model, camera, Level of the photograph) without each mistake."""
     for unit in (name for name in METRES if name != "m"):
         size = np.ptp(model.vertices, axis=0).max()
         text = f"the model is {size:,.4g} m large: with its lengths in {unit} (model: {{{{unit: {unit}}}}})"
-        yield "units", text, _turned(model, METRES[unit] * np.eye(3)), camera
+        yield "units", text, _turned(model, METRES[unit] * np.eye(3)), camera, level
     for turn, axis in ((QUARTER, "Y"), (QUARTER.T, "-Y")):
-        yield "up_axis", f"the model stands on its side: with {axis} as its up axis", _turned(model, turn), camera
+        yield (
+            "up_axis",
+            f"the model stands on its side: with {axis} as its up axis",
+            _turned(model, turn),
+            camera,
+            level,
+        )
     for words, degrees in ROLLS.items():
-        yield "camera", f"the camera is turned: with the picture {words}", model, _rolled(camera, [0, 0, 1], degrees)
+        yield (
+            "camera",
+            f"the camera is turned: with the picture {words}",
+            model,
+            _rolled(camera, [0, 0, 1], degrees),
+            level,
+        )
     for axis in (1, 2):  # of the world, up
         up = camera.T_cam_world[:3, axis]
-        yield "camera", "the camera looks the other way: turned round", model, _rolled(camera, up, 180)
+        yield "camera", "the camera looks the other way: turned round", model, _rolled(camera, up, 180), level
+    for text, axes in FLIPS.items():
+        yield "camera", text, model, camera, level.flipped(axes)
 
 
 def _rolled(camera, axis, degrees):
