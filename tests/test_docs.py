@@ -4,6 +4,8 @@ import re
 
 import pytest
 
+from tests.bench import reader_table
+
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 HEAD = re.compile(r"^#+ +(.*)$", re.MULTILINE)
 
@@ -53,3 +55,8 @@ def test_targets_that_are_named_are_there(root, name):
     named = set(re.findall(r"(?:`| {4})make ([a-z-]+)(?=[`\s])", (root / name).read_text(encoding="utf-8")))
     scenes = {p.parent.name for p in root.glob("data/*/scene.yaml")} | {"attic", "study", "x"}
     assert not named - targets - scenes
+
+
+def test_the_page_of_readers_is_what_the_readers_say(root):
+    """`python -m tests.bench.reader_table > docs/readers.md` makes it."""
+    assert (root / "docs/readers.md").read_text(encoding="utf-8") == reader_table.page()
