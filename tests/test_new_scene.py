@@ -79,7 +79,7 @@ def test_lamps_by_their_material(new, given, root):
     (given / "room.mtl").write_text("newmtl panel 7\nKe 5 5 5\nnewmtl top\nKe 0 0 0\n")
     status, folder, said = new()
     assert status == 0 and planned(folder, root).lamps == {"panel 7": "unknown"}, said
-    assert (folder / "room.mtl").is_file()
+    assert (folder / "model.mtl").is_file() and not (folder / "room.mtl").exists()
 
 
 def test_units_and_axes_are_said_and_not_applied(new, given, root):

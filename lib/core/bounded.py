@@ -30,7 +30,7 @@ FEW_PX, EMPTIEST = 12_000_000, 1 / 50  # a picture of more pixels than that has 
 def content(path, most=LARGEST_FILE) -> bytes:
     """The bytes of a file. Refused: no file, a folder or a device, more bytes than `most`."""
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=_without_waiting) as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise BadInput(f"{path}: is no file")
@@ -38,6 +38,11 @@ def content(path, most=LARGEST_FILE) -> bytes:
             return file.read(status.st_size)
     except OSError as error:
         raise BadInput(f"{path}: {_why(error)}") from None
+
+
+def _without_waiting(path, flags):
+    """A pipe is opened, and then refused: without this, opening waits for who writes into it."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _why(error):

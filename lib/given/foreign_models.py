@@ -4,18 +4,16 @@ PLY and STL an OBJ of one group, shapes of a Mitsuba scene and meshes of USD an 
 
 from __future__ import annotations
 
-import base64
-import json
-import struct
+import re
 from pathlib import Path
-
-import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
-from lib.given import mesh_files, mitsuba_models, strangers_files, usd_models
+from lib.given import files_beside, gltf_file, mesh_files, mitsuba_models, obj_text, strangers_files, usd_models
 
 ONE_GROUP = "surface"
+MOST_LIBRARIES = 500  # names of an OBJ that are looked for
+DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError)  # what odd JSON raises
 
 
 def convert(path) -> tuple[dict, list]:
@@ -23,13 +21,16 @@ def convert(path) -> tuple[dict, list]:
     path = Path(path)
     content = bounded.content(path)
     kind = strangers_files.kind_of(content)
+    if kind is None and path.suffix.lower() == ".stl":
+        kind = "an STL file"  # one that ends too early has not the length that tells it
     if kind == "a GLB file":
-        return {"model.glb": content}, []
+        return _of_glb(path, content)
     if kind == "a glTF file":
         return {"model.glb": _packed(path, content)}, ["glTF and its buffers were packed into model.glb"]
     if kind in ("a PLY file", "an STL file"):
-        text = _of_trimesh(path, kind)
-        return {"model.obj": text}, [f"{kind} has no materials: everything is one group, {ONE_GROUP}"]
+        points, faces, said = mesh_files.read(path, content, "ply" if kind == "a PLY file" else "stl")
+        text = mesh_files.obj([(ONE_GROUP, ONE_GROUP, points, faces)])
+        return {"model.obj": text}, [f"{kind} has no materials: everything is one group, {ONE_GROUP}", *said]
     if kind == "a Mitsuba scene":
         return {"model.obj": mitsuba_models.Mitsuba(path, content).obj()}, []
     if kind == "a USD file" or path.suffix.lower() == ".usdz":
@@ -38,83 +39,111 @@ def convert(path) -> tuple[dict, list]:
         return {"model.obj": b"mtllib model.mtl\n" + mesh_files.obj(parts), "model.mtl": lamps.encode()}, said
     if kind:
         raise BadInput(f"{path}: is {kind}: {strangers_files.way_out(kind)}")
-    files, said = {"model.obj": content}, []
-    for name in _libraries(content):
-        beside = path.parent / name
-        if beside.parent != path.parent or name in ("", ".", ".."):
-            said.append(f"mtllib {name:.80} lies outside the model's folder and is ignored")
-        elif beside.is_file() and name not in files:
-            files[name] = bounded.content(beside, bounded.LARGEST_TEXT)
-    return files, said
-
-
-def _libraries(content):
-    """Names of the .mtl files of an OBJ; what lies elsewhere is not needed."""
-    rows = [line.split(None, 1) for line in content.decode("utf-8", "replace").splitlines()]
-    return list(dict.fromkeys(row[1].strip() for row in rows if len(row) == 2 and row[0] == "mtllib"))
+    return _of_obj(path, content)
 
 
 def emitters(files) -> list[str]:
-    """Groups whose material says that it emits: Ke of an .mtl, emissiveFactor of a GLB."""
+    """Groups whose material says that it emits: Ke or map_Ke of an .mtl, emissiveFactor of a GLB."""
     found = []
     for name, content in files.items():
         if name.endswith(".mtl"):
-            group = None
-            for line in content.decode("utf-8", "replace").splitlines():
-                word, _, rest = line.strip().partition(" ")
-                if word == "newmtl":
-                    group = rest.strip()
-                elif word == "Ke" and any(float(v) > 0 for v in rest.split()[:3] if _number(v)):
-                    found.append(group)
+            found += obj_text.emitting(content)
         elif name.endswith(".glb"):
             try:
-                length = int.from_bytes(content[12:16], "little")
-                for material in bounded.json_of(name, content[20 : 20 + length]).get("materials", []):
-                    if any(material.get("emissiveFactor", [])):
-                        found.append(material.get("name"))
-            except (BadInput, AttributeError, TypeError):
+                found += gltf_file.emitting(gltf_file.of_glb(name, content)[0])
+            except (BadInput, *DAMAGE):
                 pass
-    return [name for name in dict.fromkeys(found) if name]
+    return list(dict.fromkeys(found))
 
 
-def _number(text):
+# ---- OBJ ----
+
+LIBRARY = re.compile(r"^[ \t]*(mtllib[ \t](?!model\.mtl$)[^\n]*)$", re.M)
+
+
+def _of_obj(path, content):
+    """The OBJ, and all its libraries in one: no file of a stranger's takes a name that means something in a scene."""
+    text = obj_text.decoded(content)
+    rests = [line.split(None, 1)[1:] for _, line in obj_text.lines(text) if line.split(None, 1)[0] == "mtllib"]
+    named = dict.fromkeys(name for rest in rests if rest for name in _split(rest[0].strip()))
+    if sum(len(name.split()) for name in named) > MOST_LIBRARIES:
+        raise BadInput(f"{path}: mtllib: more than {MOST_LIBRARIES} names")
+    parts, said = {}, []
+    for name in _names(path.parent, named):
+        file, line = _library(path, name)
+        if line:
+            said.append(line)
+        elif file not in parts:
+            parts[file] = obj_text.decoded(bounded.content(file, bounded.LARGEST_TEXT))
+    if not rests:
+        return {"model.obj": content}, said
+    text = LIBRARY.sub(r"# \1", LIBRARY.sub("mtllib model.mtl", text, count=1) if parts else text)
+    files = {"model.obj": text.encode()}
+    if parts:
+        files["model.mtl"] = "\n".join(parts.values()).encode()
+        if doubled := obj_text.doubled(files["model.mtl"]):
+            said.append(
+                f"materials that the libraries describe twice, otherwise, are one group: {', '.join(doubled[:5])}"
+            )
+        if clear := obj_text.clear(files["model.mtl"]):
+            said.append(f"materials that let light through are taken for opaque ones: {', '.join(clear[:5])}")
+    return files, said
+
+
+def _names(folder, named):
+    """A name with blanks that is not there may be several names."""
+    for name in named:
+        words = name.split()
+        several = len(words) > 1 and not files_beside.find(folder, name)
+        yield from words if several and any(files_beside.find(folder, word) for word in words) else [name]
+
+
+def _library(path, name):
+    """(the library's path, None), or (None, a line that says why it is not read)."""
+    last = re.split(r"[/\\]", name)[-1]
+    found = files_beside.find(path.parent, name) or files_beside.find(path.parent, last)
+    if found is None and bounded.lies_outside(name.replace("\\", "/")) or name[1:2] == ":" and found is None:
+        return None, f"mtllib {name:.80} lies outside the model's folder and is ignored"
+    if found is None:
+        return None, f"mtllib {name:.80}: there is no such file beside the model: what its materials emit is not known"
     try:
-        return np.isfinite(float(text))
-    except ValueError:
-        return False
+        if obj_text.is_library(bounded.content(found, bounded.LARGEST_TEXT)):
+            return found, None
+    except BadInput as bad:
+        return None, f"mtllib {name:.80} is left out: {bad.problems[0].removeprefix(f'{found}: ')}"
+    return None, f"mtllib {name:.80} is no library of materials and is left out"
+
+
+def _split(words):
+    """Names of libraries: quoted, or parted where one ends in .mtl, or a single one with blanks in it.
+
+    >>> _split('a.mtl my room.mtl "b c.mtl"'), _split("one two"), _split(r"C:\\x\\room.mtl")
+    (['a.mtl', 'my room.mtl', 'b c.mtl'], ['one two'], ['C:\\\\x\\\\room.mtl'])
+    """
+    found = re.findall(r'"([^"]+)"|(\S.*?\.mtl)(?=\s|$)|(\S.*)$', words, re.I)
+    return [next(filter(None, parts)).strip() for parts in found]
 
 
 # ---- glTF ----
 
 
+def _of_glb(path, content):
+    """As it is; buffers that lie beside it are packed into it."""
+    try:
+        gltf, binary, _ = gltf_file.of_glb(path, content)
+        gltf_file.check(path, gltf)
+        if gltf_file.is_one_file(gltf):
+            return {"model.glb": content}, []
+        return {"model.glb": gltf_file.packed(path, gltf, binary)}, ["buffers beside it were packed into model.glb"]
+    except DAMAGE as error:
+        raise BadInput(f"{path}: not readable glTF: {type(error).__name__}: {error}") from None
+
+
 def _packed(path, content):
     """A GLB of a .gltf and its buffers, which lie beside it or in it."""
     try:
-        gltf = bounded.json_of(path, content)
-        binary, starts = bytearray(), []
-        for buffer in gltf.get("buffers", []):
-            starts.append(len(binary))
-            uri = buffer.pop("uri")
-            inline = uri.startswith("data:")
-            data = base64.b64decode(uri.partition(",")[2]) if inline else bounded.content(mesh_files.beside(path, uri))
-            binary += data[: buffer["byteLength"]] + bytes(-buffer["byteLength"] % 4)
-        for view in gltf.get("bufferViews", []):
-            view["byteOffset"] = view.get("byteOffset", 0) + starts[view.get("buffer", 0)]
-            view["buffer"] = 0
-        gltf["buffers"] = [{"byteLength": len(binary)}]
-        for key in ("images", "textures"):  # pictures are not read, and may lie elsewhere
-            gltf.pop(key, None)
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        gltf = gltf_file.table(path, content)
+        gltf_file.check(path, gltf)
+        return gltf_file.packed(path, gltf)
+    except DAMAGE as error:
         raise BadInput(f"{path}: not readable glTF: {type(error).__name__}: {error}") from None
-    words = json.dumps(gltf).encode()
-    parts = [(b"JSON", words + b" " * (-len(words) % 4)), (b"BIN\0", bytes(binary))]
-    body = b"".join(struct.pack("<I4s", len(data), kind) + data for kind, data in parts)
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
-
-
-# ---- PLY, STL ----
-
-
-def _of_trimesh(path, kind):
-    points, faces = mesh_files.mesh(path, "ply" if kind == "a PLY file" else "stl")
-    return mesh_files.obj([(ONE_GROUP, ONE_GROUP, points, faces)])

@@ -1,4 +1,4 @@
-"""Meshes on their way into an OBJ of ours: PLY and STL by trimesh, and the text of what was read."""
+"""Meshes on their way into an OBJ of ours: PLY and STL, and the text of what was read."""
 
 from __future__ import annotations
 
@@ -6,32 +6,43 @@ import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
+from lib.given import files_beside
+from lib.given.ply_files import read_ply
+from lib.given.stl_files import read_stl
+
+READERS = {"ply": read_ply, "stl": read_stl}
 
 
 def beside(path, name):
     """The path of a file that a model names. BadInput: it lies outside the model's folder."""
     if bounded.lies_outside(name):
         raise BadInput(f"{path}: {name:.80} lies outside the model's folder")
-    return path.parent / name
+    return files_beside.find(path.parent, name) or path.parent / name
 
 
 def mesh(path, kind):
-    import trimesh
+    """(points (V, 3), faces: lists of indices into them) of a file; see `read`."""
+    return read(path, bounded.content(path), kind)[:2]
 
-    try:
-        mesh = trimesh.load(str(path), file_type=kind, force="mesh", process=False)
-        points, faces = np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
-    except Exception as error:  # whatever the package raises
-        raise BadInput(f"{path}: not readable: {type(error).__name__}: {error}") from None
-    if not len(faces):
-        raise BadInput(f"{path}: has no faces")
-    if faces.min() < 0 or faces.max() >= len(points):
-        wrong = faces[(faces < 0) | (faces >= len(points))][0]
+
+def read(path, content, kind) -> tuple[np.ndarray, list, list]:
+    """(points (V, 3), faces: lists of indices into them, lines to say) of a PLY or an STL.
+
+    kind : "ply" or "stl".  Points at one place are one.  BadInput: damaged, no faces, an index out of range
+    """
+    points, faces, said = READERS[kind](path, content)
+    corners = np.concatenate([np.asarray(face) for face in faces]) if isinstance(faces, list) else faces.reshape(-1)
+    size = np.array([len(face) for face in faces])
+    if corners.dtype.kind not in "iu":
+        raise BadInput(f"{path}: element face: an index is no whole number")
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
+        wrong = corners[(corners < 0) | (corners >= len(points))][0]
         raise BadInput(f"{path}: face index {wrong} is out of range (0 to {len(points) - 1})")
     if not np.isfinite(points).all():
         raise BadInput(f"{path}: vertex {np.argwhere(~np.isfinite(points))[0][0]} is not finite")
     used, index = np.unique(points, axis=0, return_inverse=True)  # STL repeats each corner
-    return used, index.reshape(-1)[faces]
+    corners = index.reshape(-1)[corners.astype(int)]
+    return used, np.split(corners, np.cumsum(size)[:-1]), said
 
 
 def obj(parts) -> bytes:

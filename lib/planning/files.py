@@ -1,13 +1,14 @@
 """Names of given files, and quick looks into them; the stages read them in earnest."""
 
 import functools
-import re
+import stat
 import struct
 from pathlib import Path
 from typing import NamedTuple
 
 from lib.core import bounded
 from lib.core.stage import BadInput
+from lib.given import gltf_file, obj_text
 
 SIDES = ("left", "right")
 PHOTOS = "photos/"  # further photographs, and their cameras
@@ -67,6 +68,8 @@ def _kept(look):
             status = path.stat()
         except OSError:
             return None
+        if not stat.S_ISREG(status.st_mode):  # a pipe would be waited for
+            return None
         return again(path, status.st_size, status.st_mtime_ns)
 
     return of_version
@@ -89,19 +92,13 @@ def pixels(photograph) -> int | None:
         return None
 
 
-def _names_of_obj(data, word) -> set[str]:
-    names = re.findall(rb"^[ \t]*" + word + rb"[ \t]+([^\r\n]*?)[ \t]*\r?$", data, re.M)
-    return {name.decode("utf-8", "replace") for name in names}
-
-
 def _groups_of_obj(data) -> set[str]:
-    return _names_of_obj(data, b"usemtl")
+    return set(obj_text.names(data, "usemtl"))
 
 
 def _groups_of_glb(data) -> set[str] | None:
-    length = int.from_bytes(data[12:16], "little")
-    names = {material["name"] for material in bounded.json_of("model", data[20 : 20 + length])["materials"]}
-    return names if data[:4] == b"glTF" else None
+    gltf = gltf_file.of_glb("model", data)[0]
+    return set(gltf_file.groups(gltf)) if all(material["name"] for material in gltf["materials"]) else None
 
 
 # The formats of models: the groups that a file's text names. Their readers: lib/given/model.
@@ -143,7 +140,7 @@ def model_groups(path) -> set[str] | None:
     """The groups of a model as its text names them, or None where they cannot be told."""
     try:
         return GROUPS_OF[path.suffix[1:]](bounded.content(path))
-    except (BadInput, KeyError, TypeError):
+    except (BadInput, KeyError, TypeError, AttributeError):
         return None
 
 

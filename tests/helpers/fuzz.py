@@ -590,17 +590,33 @@ def _stl():
     return b"made by hand".ljust(80) + struct.pack("<I", 2) + facet + facet[:-2] + b"\0\0"
 
 
+def _text_stl():
+    corners = [(0, 0, 1), (0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    rows = [" ".join(map(str, p)) for p in corners]
+    loop = "outer loop\n" + "".join(f"vertex {row}\n" for row in rows[1:]) + "endloop\nendfacet\n"
+    return f"solid a\nfacet normal {rows[0]}\n{loop}endsolid a\nSOLID b\nFACET NORMAL 0 0 1\n{loop}ENDSOLID\n".encode()
+
+
 def _binary_ply():
     head = PLY[: PLY.index(b"0 0 0")].replace(b"ascii", b"binary_little_endian")
     points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], "<f4").tobytes()
     return head + points + struct.pack("<B3iB3i", 3, 0, 1, 2, 3, 0, 1, 3)
 
 
+def _mixed_ply():
+    """Big-endian, lists of several lengths, strips."""
+    head = PLY[: PLY.index(b"0 0 0")].replace(b"ascii", b"binary_big_endian")
+    head = head.replace(b"end_header", b"element tristrips 1\nproperty list int int vertex_indices\nend_header")
+    points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], ">f4").tobytes()
+    return head + points + struct.pack(">B3iB4ii5i", 3, 0, 1, 2, 4, 0, 1, 3, 2, 5, 0, 1, 2, -1, 3)
+
+
 def _glb():
     points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], "<f4").tobytes()
     binary = points + np.array([0, 1, 2, 0, 1, 3], "<u2").tobytes()
     gltf = {
-        **{"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "materials": [{"name": "wall"}]},
+        **{"asset": {"version": "2.0", "generator": "anasyn"}, "scene": 0, "scenes": [{"nodes": [0]}]},
+        "materials": [{"name": "wall"}],
         "nodes": [
             {"name": "room", "mesh": 0, "rotation": [0, 0, 0, 1], "scale": [1, 1, 1], "children": [1]},
             {"mesh": 0, "matrix": np.eye(4).ravel().tolist()},
@@ -614,6 +630,58 @@ def _glb():
         ],
         "extras": {"objects": ["room"], "groups": ["wall"], "absent": []},
     }
+    return _packed(gltf, binary)
+
+
+def _rich_glb():
+    """What other tools write: integers, sparse values, instances, a skin, a morph target, lights, hidden nodes."""
+    parts = [
+        np.array([(0, 0, 0, 0), (127, 0, 0, 0), (0, 127, 0, 0), (0, 0, 127, 0)], "<i1"),  # 0: positions, 4 bytes each
+        np.array([0, 1, 2, 0, 1, 3], "<u2"),  # 1: indices
+        np.array([(0, 0, 0), (2, 0, 0)], "<f4"),  # 2: places of instances
+        np.zeros((4, 4), "<u1"),  # 3: joints
+        np.tile(np.array([255, 0, 0, 0], "<u1"), (4, 1)),  # 4: weights
+        np.array([3], "<u4"),  # 5, 6: one sparse value
+        np.array([(0, 0, 0.5)], "<f4"),
+    ]
+    starts = np.cumsum([0, *(a.nbytes for a in parts)])
+    views = [{"buffer": 0, "byteOffset": int(s), "byteLength": a.nbytes} for s, a in zip(starts, parts, strict=False)]
+    views[0]["byteStride"] = 4
+    of = lambda view, kind, count, width, **more: (
+        ({} if view is None else {"bufferView": view}) | {"componentType": kind, "count": count, "type": width} | more
+    )
+    sparse = {"count": 1, "indices": {"bufferView": 5, "componentType": 5125}, "values": {"bufferView": 6}}
+    attributes = {"POSITION": 0, "JOINTS_0": 3, "WEIGHTS_0": 4}
+    primitive = {"attributes": attributes, "indices": 1, "material": 0, "targets": [{"POSITION": 5}]}
+    plain = {"attributes": {"POSITION": 0}, "indices": 1, "material": 1}
+    instances = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}
+    gltf = {
+        **{"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_mesh_quantization"]},
+        "materials": [{"name": "wall"}, {"name": "wall", "emissiveFactor": [1, 1, 1]}],
+        "nodes": [
+            {"name": "a", "mesh": 0, "skin": 0},
+            {"mesh": 1, "extensions": instances, "camera": 0},
+            {"extensions": {"KHR_node_visibility": {"visible": False}, "KHR_lights_punctual": {"light": 0}}},
+        ],
+        "meshes": [{"primitives": [primitive], "weights": [0.5]}, {"primitives": [plain]}],
+        "skins": [{"joints": [2]}],
+        "cameras": [{"type": "perspective"}],
+        "extensions": {"KHR_lights_punctual": {"lights": [{"type": "point"}]}},
+        "buffers": [{"byteLength": int(starts[-1])}],
+        "bufferViews": views,
+        "accessors": [
+            *(of(0, 5120, 4, "VEC3", normalized=True), of(1, 5123, 6, "SCALAR"), of(2, 5126, 2, "VEC3")),
+            *(
+                of(3, 5121, 4, "VEC4"),
+                of(4, 5121, 4, "VEC4", normalized=True),
+                of(None, 5126, 4, "VEC3", sparse=sparse),
+            ),
+        ],
+    }
+    return _packed(gltf, b"".join(a.tobytes() for a in parts))
+
+
+def _packed(gltf, binary):
     words = json.dumps(gltf).encode()
     words += b" " * (-len(words) % 4)
     body = struct.pack("<I4s", len(words), b"JSON") + words + struct.pack("<I4s", len(binary), b"BIN\0") + binary
@@ -690,6 +758,26 @@ def _beside_obj(path):
     _converted(path.with_suffix(".obj"))
 
 
+WHOLE_OBJ = b"""mtllib x.mtl "y z.mtl"
+# C:\\rooms\\
+o a
+usemtl wall
+v 0 0 0 1
+v 1 0 0 0.5 0.5 0.5
+v 1 1 0
+v 0 1 0 # x
+f 1/1/1 2//1 -2 \\
+ 4
+l 1 2
+p 1
+cstype bspline
+deg 1 1
+surf 0 1 0 1 1 2 4 3
+parm u 0 0 1 1
+end
+csh -x
+fo 1 2 3
+"""
 MTL = b"newmtl lamp\nKe 1 2.5 3\nnewmtl wall\nKd 1 1 1\nmap_Kd ../x.png\n"
 PNG = _encoded(".png", mistakes.picture()[:20, :30])
 BLOCKS = b"[8, 0.004, 0.011, 0.002, 0.001, 0.003, 3.5, 0, 2]"  # as lib.given.jpeg.Blocks writes it
@@ -698,12 +786,16 @@ KINDS = {
     "scene.yaml": Kind("attic/scene.yaml", YAML, _scene, of_yaml, {"attic/left.png": b"x", "attic/model.obj": b""}),
     "cameramodel": Kind("left.cameramodel", LENS, _lens),
     "OBJ": Kind("model.obj", _obj(), _model),
+    "OBJ, all statements": Kind("y.obj", WHOLE_OBJ, _converted),
     "OBJ with MTL": Kind("x.mtl", MTL, _beside_obj, None, {"x.obj": b"mtllib x.mtl\n" + _obj()}),
     "GLB": Kind("model.glb", _glb(), _model, of_glb),
+    "GLB of other tools": Kind("y.glb", _rich_glb(), _converted, of_glb),
     "glTF": Kind("x.gltf", _gltf(), _converted, of_json),
     "PLY, text": Kind("x.ply", PLY, _converted),
     "PLY, binary": Kind("y.ply", _binary_ply(), _converted),
+    "PLY, mixed": Kind("z.ply", _mixed_ply(), _converted),
     "STL": Kind("x.stl", _stl(), _converted),
+    "STL, text": Kind("y.stl", _text_stl(), _converted),
     "Mitsuba": Kind("x.xml", XML, _converted),
     "fSpy, JSON": Kind("fspy.json", _json(FSPY), _camera, of_json),
     "fSpy, project": Kind("x.fspy", _project(_json(PROJECT)), _camera, of_project),

@@ -58,17 +58,18 @@ def write_glb(path, model: Model):
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": len(binary)}],
-        "extras": {"objects": list(model.objects), "groups": list(model.groups)} | _absent(model),
+        "extras": {"objects": list(model.objects), "groups": list(model.groups)} | _more(model),
     }
     with artefact.writing(path) as partial:
         Path(partial).write_bytes(_chunks(json.dumps(gltf).encode(), bytes(binary)))
 
 
-def _absent(model):
-    """Facets without triangles: of objects that are not there, and whose names and numbers are kept."""
+def _more(model):
+    """What is said of the file that the model was read from, and facets without triangles: of objects that are not
+    there, and whose names and numbers are kept."""
     none = np.setdiff1d(np.arange(model.n_facets), model.triangle_facet)
     rows = [[int(f), int(model.facet_object[f]), int(model.facet_group[f])] for f in none]
-    return {"absent": rows} if rows else {}
+    return ({"absent": rows} if rows else {}) | ({"notes": list(model.notes)} if model.notes else {})
 
 
 def _chunks(words, binary):

@@ -3,14 +3,51 @@
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given import strangers_files
+from lib.given import obj_text, strangers_files
+from lib.given.formats import Format, LeftOut
 from lib.given.model.polygons import Polygons
 
+FORMAT = Format(
+    "Wavefront OBJ (.obj, .mtl)",
+    read=(
+        "v, f (and its old name fo), o, usemtl; indices that count from the end; lines that a backslash goes on with",
+        "mtllib: libraries beside the file, several, quoted, with the folders of Windows; Ke and map_Ke tell lamps",
+        "text in UTF-8 or Latin-1, with line ends of any system",
+    ),
+    refused=(
+        ("call: geometry in another file", "put that file's text in its place"),
+        ("free-form surfaces and no faces", "tessellate them: export polygons"),
+        ("faces without usemtl", "give them a material"),
+        ("UTF-16", "save it as UTF-8"),
+    ),
+    left_out=(
+        "points, lines, free-form curves and surfaces, weights of vertices, commands (csh), which are never run",
+        "normals, texture coordinates, colours of vertices, groups (g), smoothing, and other words on looks",
+        "material libraries that are not there, or are none",
+    ),
+)
+# Words on looks, on names, and of free-form surfaces, which their first word counts: nothing of them moves a face.
+PASSED = {
+    *("vt", "vn", "vp", "g", "s", "mg", "mtllib", "maplib", "usemap", "bevel", "c_interp", "d_interp", "lod"),
+    *("shadow_obj", "trace_obj", "ctech", "stech", "cstype", "deg", "bmat", "step", "parm", "trim", "hole", "scrv"),
+    *("sp", "end", "con", "res", "dline", "off", "newmtl"),
+}
+COUNTED = {
+    **{
+        "p": "point element",
+        "l": "line element",
+        "curv": "free-form curve",
+        "curv2": "free-form curve",
+        "cdc": "free-form curve",
+    },
+    **{"surf": "free-form surface", "bzp": "free-form surface", "bsp": "free-form surface"},
+    **{"cdp": "free-form surface", "csh": "command (csh)"},
+}
 FAR = 1 << 62  # what becomes of an index too large for an int64; no file reaches it either
 
 
 def read_obj(path, content, bare=None) -> Polygons:
-    """Wavefront OBJ: v, f, o, usemtl; everything else, `g` included, is passed over.
+    """Wavefront OBJ: v, f, o, usemtl; `g` is passed over, and what else is geometry is counted.
 
     path : for messages        content : the file's bytes
     bare : group of faces without material; None: such are refused
@@ -19,31 +56,19 @@ def read_obj(path, content, bare=None) -> Polygons:
         raise BadInput(f"{path}: is UTF-16: save it as UTF-8")
     if kind := strangers_files.kind_of(content):
         raise BadInput(f"{path}: is {kind}: {strangers_files.way_out(kind)}")
-    try:
-        text = content.decode("utf-8-sig")  # a mark of the byte order belongs to no statement
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
+    text = obj_text.decoded(content)
     if "\0" in text:
         raise BadInput(f"{path}: not an OBJ file: byte 0 at {text.index(chr(0))}")
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
     reader = _Reader(path, bare)
     statements = {"v": reader.vertex, "f": reader.face, "o": reader.new_object, "usemtl": reader.new_group}
-    for number, line in _lines(text):
+    statements |= {"fo": reader.face, "call": reader.call}
+    for number, line in obj_text.lines(text):
         kind, *rest = line.split(None, 1)
         if kind in statements:
             statements[kind](number, line, rest[0].strip() if rest else None)
+        elif kind not in PASSED:
+            reader.left.add(COUNTED.get(kind) or "unknown statement")
     return reader.polygons()
-
-
-def _lines(text):
-    """(number, line) of all that are not empty; a line that ends in a backslash goes on in the next."""
-    lines = enumerate(text.split("\n"), 1)
-    for number, line in lines:
-        while line.rstrip().endswith("\\") and (following := next(lines, None)):
-            line = line.rstrip()[:-1] + " " + following[1]
-        if line and not line.isspace():
-            yield number, line
 
 
 class _Reader:
@@ -56,16 +81,29 @@ class _Reader:
         self.face_object, self.face_group = [], []
         self.objects, self.groups = {}, {}  # name -> index
         self.object, self.group = None, bare
+        self.left = LeftOut()
 
     def refuse(self, number, problem):
         raise BadInput(f"{self.path}: line {number}: {problem}") from None
 
     def vertex(self, number, line, _):
         values = line.split()
-        if len(values) < 4:
-            self.refuse(number, f"vertex has {len(values) - 1} coordinates instead of 3")
+        if len(values) != 4 or "#" in line:
+            values = self.other_vertex(number, line)
         self.vertices.append(values[1:4])
         self.vertex_lines.append(number)
+
+    def other_vertex(self, number, line):
+        """The words of a vertex of other than three numbers: a fourth alone is a weight, three more are a colour."""
+        values = line.partition("#")[0].split()
+        if len(values) < 4:
+            self.refuse(number, f"vertex has {len(values) - 1} coordinates instead of 3")
+        if len(values) == 5 and not _is_one(values[4]):
+            self.left.add("vertex weight")
+        return values
+
+    def call(self, number, line, name):
+        self.refuse(number, f"'{line.strip():.80}': geometry in another file is not read: put its text in this place")
 
     def new_object(self, number, line, name):
         self.object = self.objects.setdefault(name or "default", len(self.objects))
@@ -102,8 +140,13 @@ class _Reader:
         if len(beyond):
             number = self.face_lines[np.searchsorted(starts, beyond[0], side="right") - 1]
             self.refuse(number, f"face index {corners[beyond[0]] + 1} is out of range (1 to {len(p)})")
+        line = self.left.line()
+        if not len(starts) - 1 and line:
+            raise BadInput(f"{self.path}: faces: the model has none ({line}): export it as polygons")
         owner, group = np.array(self.face_object, np.int32), np.array(self.face_group, np.int32)
-        return Polygons(p, corners, starts, owner, group, list(self.objects), list(self.groups))
+        return Polygons(
+            p, corners, starts, owner, group, list(self.objects), list(self.groups), (), (line,) if line else ()
+        )
 
     def points(self):
         """(V, 3) m."""
@@ -126,6 +169,13 @@ class _Reader:
                     float(value)
                 except ValueError:
                     self.refuse(number, f"vertex {axis} = {value} {_not_a_number(value)}")
+
+
+def _is_one(word):
+    try:
+        return float(word) == 1
+    except ValueError:
+        return False
 
 
 def _not_a_number(value):
