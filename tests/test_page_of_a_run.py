@@ -43,6 +43,7 @@ def stages(folder):
 
 def test_every_section_is_there(page):
     assert page.titles == [
+        "What now",
         "Warnings",
         "Difference",
         "Materials",
