@@ -54,12 +54,12 @@ def main(opt):
                 image.orientation(opt.photograph),
             )
             if more := compiling.of_photometry():
-                found.append(first_look.Finding("cost", more))
+                found[-1] = found[-1]._replace(text=f"{found[-1].text}, {more}")  # the cost
             lines = (*view.model.warnings, *model_checks.findings(view.model, view.camera, index.facet))
             found += [first_look.Finding("model", line, False) for line in view.model.notes]
             found += [first_look.Finding("model", line, not isinstance(line, Note)) for line in lines]
             segments = edges.wireframe(view.model, view.camera, index.facet, index.depth)
-        print(f"  look first: {opt.picture}: the lines should lie on the edges of the photograph")
+        print(f"  look first: {opt.picture}")
         doubts = sum(finding.doubt for finding in found)
         report.status = "doubtful" if doubts else "good"
         for finding in found:

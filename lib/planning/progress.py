@@ -15,11 +15,12 @@ from lib.planning import gallery, next_steps
 
 # Seconds of a run on two cores, 640 x 480 px, without compiling; what grows with the photograph, and what does not
 TYPICAL = {
-    **{"index": (1, 1), "formfactors": (6, 0), "gather": (4, 1), "fit": (4, 2), "coverage": (1, 1), "render": (4, 9)},
-    **{"compare": (1, 0), "report": (2, 3), "calibrate": (20, 0), "segment": (2, 2), "surfaces": (1, 1)},
+    **{"index": (1, 1), "formfactors": (6, 0), "gather": (4, 1), "fit": (5, 1), "coverage": (1, 1), "render": (8, 5)},
+    **{"compare": (1, 0), "report": (3, 2), "calibrate": (20, 0), "segment": (2, 2), "surfaces": (1, 1)},
     **{"match": (1, 1), "reconstruct": (1, 2), "recognise": (1, 2), "orient": (4, 2), "undistort": (1, 0)},
 }
 ELSE = (2, 1)
+PHOTOMETRY = ("index", "formfactors", "gather", "fit", "coverage", "render", "compare", "report")
 SIZE = 640 * 480
 
 
@@ -29,8 +30,13 @@ def seconds(stage, report, pixels=None) -> float:
         last = _read(report)
         return float(last["waited_s"]) - float(last.get("compile_wall_s") or 0)
     except (TypeError, KeyError, ValueError):
-        fixed, growing = TYPICAL.get(stage, ELSE)
-        return fixed + growing * (pixels or SIZE) / SIZE
+        return typical([stage], pixels)
+
+
+def typical(stages, pixels=None) -> float:
+    """Seconds of stages on a photograph of so many pixels, by the shipped scenes."""
+    of = [TYPICAL.get(stage, ELSE) for stage in stages]
+    return sum(fixed + growing * (pixels or SIZE) / SIZE for fixed, growing in of)
 
 
 def _read(path):
