@@ -25,7 +25,7 @@ def options():
 
 
 def main(opt):
-    from lib.core.report import Report
+    from lib.core.report import Note, Report
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
@@ -33,6 +33,7 @@ def main(opt):
             from lib.core import artefact, packages
             from lib.given import image
             from lib.given.view import View
+            from lib.planning import compiling
 
         with report.timing("read"):
             view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph)
@@ -52,10 +53,13 @@ def main(opt):
                 opt.up,
                 image.orientation(opt.photograph),
             )
+            if more := compiling.of_photometry():
+                found[-1] = found[-1]._replace(text=f"{found[-1].text}, {more}")  # the cost
             lines = (*view.model.warnings, *model_checks.findings(view.model, view.camera, index.facet))
             found += [first_look.Finding("model", line, False) for line in view.model.notes]
-            found += [first_look.Finding("model", line, True) for line in lines]
+            found += [first_look.Finding("model", line, not isinstance(line, Note)) for line in lines]
             segments = edges.wireframe(view.model, view.camera, index.facet, index.depth)
+        print(f"  look first: {opt.picture}")
         doubts = sum(finding.doubt for finding in found)
         report.status = "doubtful" if doubts else "good"
         for finding in found:

@@ -46,7 +46,7 @@ def main(opt):
                     import moderngl  # noqa: F401  the same
                 opengl.require_graphics()
             except (ImportError, opengl.NoGraphics) as error:
-                report.warning(f"no OpenGL ({error}): rays instead")
+                report.note(f"no OpenGL ({error}): rays instead")
                 method = "rays"
         if method == "rays":
             with report.excluded("imports"):

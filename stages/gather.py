@@ -56,7 +56,7 @@ def main(opt):
         report["tiles"], report["pixels"], report["rays"] = len(tiles), len(tiles.pixel), int(tiles.rows.shot.sum())
         report["in_gaps"] = int(gather.usable(view, surface, factors, view.trusted).sum()) - len(tiles.pixel)
         if report["in_gaps"]:
-            report.warning(
+            report.note(
                 f"{report['in_gaps']} trusted pixels lie in a gap narrower than its patches and are left out: how light"
                 " fades in there is not known"
             )

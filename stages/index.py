@@ -47,7 +47,7 @@ def options():
 
 
 def main(opt):
-    from lib.core.report import Report
+    from lib.core.report import Note, Report
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
@@ -74,8 +74,8 @@ def main(opt):
         with report.timing("check"):
             if view.photograph.lost_tables:
                 report.warning(f"{opt.photograph}: {jpeg.NO_TABLES}")
-            for warning in (*model.warnings, *model_checks.findings(model, camera, index.facet)):
-                report.warning(f"{opt.model}: {warning}")
+            findings = model_checks.findings(model, camera, index.facet)
+            report.about(opt.model, [*model.warnings, *map(Note, model.notes), *findings])
             if (cost := first_look.cost(view.photograph.values.shape)).doubt:
                 report.warning(f"{opt.photograph}: {cost.text}")
         with report.timing("edges"):
@@ -126,7 +126,7 @@ def draw(model, camera, method, report):
                 import moderngl  # noqa: F401  here, where it counts as an import
             return index_buffer.draw(model, camera)
         except (ImportError, opengl.NoGraphics) as error:
-            report.warning(f"no OpenGL ({error}): rays instead")
+            report.note(f"no OpenGL ({error}): rays instead")
     with report.excluded("imports"):
         packages.open3d()  # the same
     return index_buffer.reference(model, camera)

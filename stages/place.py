@@ -45,7 +45,7 @@ def options():
 
 
 def main(opt):
-    from lib.core.report import Report
+    from lib.core.report import Note, Report
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
@@ -76,8 +76,7 @@ def main(opt):
                 camera_covariance=pose["covariance"] if pose else None,
                 within_m=opt.within_m,
             )
-        for text in (*model.warnings, *words.warnings(result)):
-            report.warning(f"{opt.model}: {text}")
+        report.about(opt.model, [*model.warnings, *map(Note, model.notes), *words.warnings(result)])
         report["objects"] = words.facts(result)
         content = dict(pose) if pose else given_pose(cameras, sides[0].camera)
         content["objects"] = {p.name: p.entry() for p in result.placed}

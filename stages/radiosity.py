@@ -67,7 +67,7 @@ def main(opt):
         look, found, _ = appearance.read(opt.materials, factors.groups, factors.lamps, channels, view.model.n_facets)
         rho, lamps = look.rho, look.E
         if look.finish is not None:
-            report.warning(
+            report.note(
                 f"{opt.materials}: mirrors and glossy surfaces are left out: this stage shows how diffuse light spreads"
             )
         factors = throws.in_lobes(factors, surface, found.lobes)

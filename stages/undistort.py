@@ -44,7 +44,7 @@ def main(opt):
         if (k := reduced.times((lens.width, lens.height), opt.megapixels)) > 1:
             photograph, whole, camera = reduced.photograph(photograph, k), camera, reduced.pinhole(camera, k)
             all_of_it = f"{{undistort: {{megapixels: {math.ceil(whole.width * whole.height / 1e6)}}}}}"
-            report.warning(
+            report.note(
                 f"{opt.photograph}: {whole.width} x {whole.height} px are analysed and rendered at {camera.width} x "
                 f"{camera.height}, for memory and time (params: {all_of_it} keeps all: half a GB for each)"
             )
@@ -54,7 +54,7 @@ def main(opt):
         report["focal_factor"] = k * camera.K[0, 0] / lens.intrinsics[0]
         report["share_kept"] = share
         if share < 0.5:
-            report.warning(
+            report.note(
                 f"{opt.photograph}: the pinhole picture shows {100 * share:.0f} % of the photograph: {lens.model} sees "
                 "too wide for more"
             )

@@ -22,7 +22,7 @@ def options():
 
 
 def main(opt):
-    from lib.core.report import Report
+    from lib.core.report import Note, Report
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
@@ -32,8 +32,7 @@ def main(opt):
         if opt.unit not in METRES:
             raise stage.BadInput(f"--unit: {opt.unit!r} is none of {', '.join(METRES)}")
         model = models.load(opt.model, metres=METRES[opt.unit])
-        for warning in model.warnings:
-            report.warning(f"{opt.model}: {warning}")
+        report.about(opt.model, [*model.warnings, *map(Note, model.notes)])
         report["size_m"] = (model.vertices.max(axis=0) - model.vertices.min(axis=0)).tolist()
         write_glb(opt.metres, model)
 

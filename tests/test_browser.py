@@ -32,7 +32,10 @@ def pages(tmp_path_factory):
     made = {"everything": everything(), "climbed": climbed(), "refused": refused}
     files = {name: folder / f"{name}.html" for name in made}
     for name, content in made.items():
-        files[name].write_text(build.page(parts_of(content)), encoding="utf-8")
+        content["reports"]["index"]["notes"] = ["2 polygons without area were dropped"]
+        parts = parts_of(content)
+        parts.steps = ["Look at `build/attic/check.png` (`make attic/check` draws it): is it right?", "Then go on."]
+        files[name].write_text(build.page(parts), encoding="utf-8")
     cards = [
         gallery.Card(s, s, "0.51 % off the photograph", "a.html", None) for s in ("converged", "does not fit", "x")
     ]
@@ -53,6 +56,15 @@ def test_no_complaint_and_nothing_cut_off(browser, pages, name, width, scheme):
     ground = sum(map(int, tab.js("getComputedStyle(document.body).backgroundColor")[4:-1].split(",")))
     assert (ground < 384) == (scheme == "dark")
     assert tab.complaints == []
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_the_first_screen_says_what_now_and_shows_the_picture_before_links(browser, pages, width):
+    """On a phone the picture came below links and warnings."""
+    tab = browser.open(pages["everything"], width)
+    top = lambda place: tab.js(f"document.querySelector('{place}').getBoundingClientRect().top")
+    assert top("h1") < top(".hero img, .pair") < min(top("nav"), top("#warnings"), 860)
+    assert top(".next") < 860 and (top(".next") > top(".pair")) == (width == 400)
 
 
 @pytest.mark.parametrize("name", PAGES)

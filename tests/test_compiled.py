@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lib.core import compiled
+from lib.core import kernel_cache
 
 ROOT = Path(__file__).resolve().parents[1]
 CONSTANTS = """
@@ -65,7 +65,7 @@ class Project:
             path = folder / "lib" / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
-        for name in ("apart.py", "compiled.py"):
+        for name in ("apart.py", "compiled.py", "kernel_cache.py"):
             shutil.copy(ROOT / "lib/core" / name, folder / "lib/core" / name)
 
     def edit(self, name, before, after):
@@ -92,11 +92,11 @@ class Project:
 def test_the_fingerprint_sees_an_edit_in_another_file(tmp_path, monkeypatch, imported):
     """However the import is written; an edit of a file that is not imported changes nothing."""
     project = Project(tmp_path, imported)
-    monkeypatch.setattr(compiled, "ROOT", tmp_path)
+    monkeypatch.setattr(kernel_cache, "ROOT", tmp_path)
 
     def fingerprint():
-        compiled.imported.cache_clear()
-        return compiled.fingerprint(tmp_path / "lib/moved_kernels.py")
+        kernel_cache.imported.cache_clear()
+        return kernel_cache.fingerprint(tmp_path / "lib/moved_kernels.py")
 
     try:
         before = fingerprint()
@@ -105,7 +105,7 @@ def test_the_fingerprint_sees_an_edit_in_another_file(tmp_path, monkeypatch, imp
         project.edit("constants_kernels.py", "OFFSET = 1.0", "OFFSET = 5.0")
         assert fingerprint() != before
     finally:
-        compiled.imported.cache_clear()
+        kernel_cache.imported.cache_clear()
 
 
 @pytest.mark.scene

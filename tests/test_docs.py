@@ -4,7 +4,12 @@ import re
 
 import pytest
 
+from lib.core.stage import BadInput
+from lib.planning import scene as scenes
+from lib.planning.pipeline import read_pipeline
+from lib.planning.walk import walk
 from tests.bench import reader_table
+from tests.helpers.attic import attic
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 HEAD = re.compile(r"^#+ +(.*)$", re.MULTILINE)
@@ -60,3 +65,57 @@ def test_targets_that_are_named_are_there(root, name):
 def test_the_page_of_readers_is_what_the_readers_say(root):
     """`python -m tests.bench.reader_table > docs/readers.md` makes it."""
     assert (root / "docs/readers.md").read_text(encoding="utf-8") == reader_table.page()
+
+
+# What stands in the list "Not built yet" of data/SCENE.md: {its word there: (how README would promise it, scene.yaml or
+# a file that asks for it, what the refusal says)}; None: nothing that a user can ask for
+NOT_BUILT = {
+    "RAW": (r"\bRAW\b(?! file a 16-bit TIFF)", {"left.dng": b"II*"}, "RAW is not read yet"),
+    "brackets/": (r"\bbrackets?\b|exposure series", None, None),
+    "colorchecker": (r"colou?r ?checker", "colorchecker: auto", "colorchecker"),
+    "gradient": (r"\bgradient", "lamps: {lamp: {emittance: unknown, gradient: unknown}}", "lamps.lamp.gradient"),
+    "lobe": (r"\bIES\b", "lamps: {lamp: {emittance: unknown, lobe: {ies: a.ies}}}", "lamps.lamp.lobe.ies"),
+    "fog": (r"\bfogs?\b", "explain: [fog]", 'explain: "fog" is not built yet'),
+    **dict.fromkeys(("materials.json", "explain", "explained", "noise", "photos/", "photos.json", "photos", "lamps")),
+}
+
+
+def not_built(root):
+    """The words of the list: RAW, and what stands between backquotes."""
+    text = re.search(
+        r"> \*\*Not built yet\*\*.*?\n\n", (root / "data/SCENE.md").read_text(encoding="utf-8"), re.DOTALL
+    )[0]
+    return {*re.findall("`([^`]+)`", text), *re.findall(r"\bRAW\b", text)}
+
+
+def test_the_list_of_what_is_not_built_is_known_here(root):
+    """An entry of the list has a line above, and the other way round: what is built leaves both."""
+    assert not_built(root) - {"scene.yaml"} == NOT_BUILT.keys()
+
+
+@pytest.mark.parametrize("word", [word for word, said in NOT_BUILT.items() if said])
+def test_nothing_that_is_not_built_is_promised(root, word):
+    """README promised lamps with IES profiles, which are refused."""
+    pattern = NOT_BUILT[word][0]
+    for name in ("README.md", "docs/tutorial.md"):
+        said = (root / name).read_text(encoding="utf-8")
+        found = re.search(f".*(?:{pattern}).*", said)
+        assert not found, f"{name}: {found[0]}"
+
+
+@pytest.mark.parametrize("word", [word for word, said in NOT_BUILT.items() if said and said[1]])
+def test_what_is_not_built_is_refused(root, tmp_path, word):
+    """In a line of file, field and value, before anything runs."""
+    _, asked, said = NOT_BUILT[word]
+    folder = attic(tmp_path)
+    if isinstance(asked, dict):
+        for path in folder.glob("left.*"):
+            path.unlink()
+        for name, content in asked.items():
+            (folder / name).write_bytes(content)
+        asked = ""
+    (folder / "scene.yaml").write_text(("" if asked.startswith("lamps") else "lamps: {lamp: unknown}\n") + asked + "\n")
+    stages = read_pipeline(root / "pipeline.yaml")
+    with pytest.raises(BadInput) as bad:
+        walk(scenes.read(folder, stages), stages, tmp_path / "build", (None,))
+    assert any(said in line for line in bad.value.problems), bad.value.problems

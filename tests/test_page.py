@@ -100,6 +100,26 @@ def test_everything():
     assert slider.attributes["type"] == "range" and slider.attributes["aria-label"]
 
 
+def test_notes_stand_apart_from_warnings():
+    files = everything()
+    files["reports"]["index"]["notes"] = ["2 polygons without area were dropped"]
+    page = shown(files)
+    assert page.section("Warnings").text == "Warnings index a facet is not planar"
+    assert page.section("Notes").one("ul").text == "index 2 polygons without area were dropped"
+    assert page.one("nav").text.startswith("1 warning ")
+
+
+def test_the_picture_comes_before_links_and_warnings_and_the_next_steps_with_it():
+    parts = parts_of(everything())
+    parts.steps = ["Run `make attic/export`: <b>", "Then look."]
+    text = build.page(parts)
+    first, second = sane(text).one("div", "next").all("li")
+    assert (first.text, second.text) == ("Run make attic/export : <b>", "Then look.") and first.one("code")
+    body = text[text.index("<body>") :]
+    places = [body.index(word) for word in ('<p class="verdict"', 'class="next"', "<img", "<nav", 'id="warnings"')]
+    assert places == sorted(places) and "<a " not in body[: body.index("<img")]
+
+
 def test_nothing():
     page = of_parts(Parts())
     assert page.one("span", "badge").text == "Nothing to report" and not page.all("h2")
@@ -319,7 +339,7 @@ def test_from_outside(run, outputs):
     result = run(*command(outputs, **files, reports=reports, transfer='"gamma"'))
     assert result.returncode == 0, result.stderr
     page = page_in(outputs)
-    assert page.titles == list(SECTIONS)
+    assert page.titles == ["What now", *SECTIONS]
     assert [item.text for item in page.section("How it was made").one("ul", "plainlist").all("li")] == [
         "segment no goal needs it"
     ]

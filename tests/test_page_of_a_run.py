@@ -43,6 +43,7 @@ def stages(folder):
 
 def test_every_section_is_there(page):
     assert page.titles == [
+        "What now",
         "Warnings",
         "Difference",
         "Materials",
@@ -68,7 +69,8 @@ def test_the_head_says_what_the_files_say(page, office):
     errors = {e["name"]: e["value"] for e in read(office / "compare.json")["errors"]}
     groups = [g for name, g in materials["groups"].items() if name not in materials["lamps"]]
     warnings = sum(len(report["warnings"]) for report in stages(office).values())
-    assert page.one("h1").text == f"office Converged {warnings} warning" and warnings == 1
+    assert page.one("h1").text == "office Converged" and warnings == 1
+    assert page.one("nav").text.startswith(f"{warnings} warning ")  # below the picture
     gamma = pm(materials["transfer"]["gamma"], materials["transfer"]["sigma"], 3)
     assert page.one("p", "verdict").text == (
         f"Re-rendering differs from the photograph by {percent(scores['rmse'])} of full scale;"

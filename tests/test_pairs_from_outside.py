@@ -42,7 +42,11 @@ def attic(tmp_path):
 
 
 def refused(run, folder):
-    lines = [line for line in run.stderr.splitlines() if ": warning: " not in line and not line.startswith("make")]
+    lines = [
+        line
+        for line in run.stderr.splitlines()
+        if not (": warning: " in line or ": note: " in line) and not line.startswith("make")
+    ]
     assert run.returncode == 2 and len(lines) == 1 and "Traceback" not in run.stderr, run.stderr
     assert not list((folder / "build/attic").glob("*pose*")) and not list((folder / "build/attic").glob("*posed*"))
     return lines[0]

@@ -20,7 +20,7 @@ STAGE = """
 import argparse, os, signal, sys, time
 sys.path.insert(0, {root!r})
 from lib.core import artefact, stage
-from lib.core.report import Report
+from lib.core.report import Note, Report
 def main(opt):
     with Report(opt.report, inputs=[opt.model], arguments=vars(opt)) as report, artefact.writing(opt.out) as partial:
         open(partial, "w").write("half")
@@ -62,10 +62,14 @@ def test_a_stage_that_ends_well(small, run, tmp_path):
     result = run(
         *small(
             "report.warning('two\\nlines'); report.warning('two lines')\n"
+            "report.note('good to know'); report.about('a.obj', [Note('3 dropped'), 'mend it'])\n"
             "report.error('residual', 1e-9, unit='1', against='eq. 3.2'); report['energy'] = 3"
         )
     )
-    assert result.returncode == 0 and result.stderr == "small.py: warning: two lines\n", result
+    assert result.returncode == 0 and result.stderr == (
+        "small.py: warning: two lines\nsmall.py: note: good to know\n"
+        "small.py: note: a.obj: 3 dropped\nsmall.py: warning: a.obj: mend it\n"
+    ), result
     assert outputs(tmp_path) == ["b.txt", "small.report.json"]
     report = artefact.read_json(tmp_path / "out/small.report.json")
     assert {
@@ -77,12 +81,14 @@ def test_a_stage_that_ends_well(small, run, tmp_path):
         "cpu_s",
         "peak_mb",
         "warnings",
+        "notes",
         "errors",
         "trace",
     } <= report.keys()
     assert report["errors"] == [{"name": "residual", "value": 1e-9, "unit": "1", "against": "eq. 3.2"}]
     assert report["inputs"] == {str(tmp_path / "m.obj"): hashlib.sha256(b"v 0 0 0\n").hexdigest()}
-    assert report["energy"] == 3 and report["warnings"] == ["two lines"] and report["peak_mb"] > 1
+    assert report["energy"] == 3 and report["warnings"] == ["two lines", "a.obj: mend it"] and report["peak_mb"] > 1
+    assert report["notes"] == ["good to know", "a.obj: 3 dropped"]
 
 
 def test_bad_input_is_one_line_per_problem_and_no_output(small, refuses, tmp_path):

@@ -12,6 +12,7 @@ from lib.analysis.climbing import SPECULAR, Climb, Place
 from lib.analysis.gather import Gathered
 from lib.analysis.problem import MISFIT, Problem, Result, group_rmse
 from lib.core.record import plain
+from lib.core.report import Note
 from lib.given.kinds import RUNGS
 from lib.given.materials import Cause, Fit, FoundTransfer, Group, Lamp, LampSigma, Lobe, Materials, Rival, Rung, Sigma
 from lib.given.transfer import GAMMA_RANGE, Metric
@@ -325,9 +326,11 @@ def warnings(problem: Problem, result: Result, described: Materials, found: Gath
 
 
 def _not_identified(name, group, visible):
+    """A note where no pixel shows it: nothing is to be done about it."""
+    kind = Note if visible == 0 else str
     why = "no pixel shows it" if visible == 0 else f"none of its {visible} pixels can be trusted"
     taken = "; the balance takes `assumed`, from the seen groups and the light it gives" if group.assumed else ""
-    return f"group {name!r} is not identified: {why}{taken}"
+    return kind(f"group {name!r} is not identified: {why}{taken}")
 
 
 def _on_bounds(problem, rho):

@@ -24,7 +24,7 @@ from lib.analysis.lamp_lobe import LampLobes
 from lib.analysis.own_materials import materials
 from lib.analysis.problem import Problem
 from lib.analysis.task import Task
-from lib.core.report import Report
+from lib.core.report import Note, Report
 
 # of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
 MIXES = 0.4
@@ -139,7 +139,7 @@ def _materials(task, seen: Answer, lamps: _Lamps, edges, leave, report, options)
         task, answer = in_lobes, _nearest(lobed, answer, *looked(in_lobes, lobed))
     answer.ladder = ladder
     answer.warnings += [
-        f"lamp {lamp!r}: no lobe fits the photograph better than an even lamp"
+        Note(f"lamp {lamp!r}: no lobe fits the photograph better than an even lamp")
         for lamp in sorted(task.lobes_unknown - answer.explained.lobes.keys())
     ]
     answer.explained = replace(answer.explained, rivals=_rivals(answer))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.given import jpeg
+from lib.planning import progress
 
 RAYS = 400  # from the camera all around
 TRIES = 8_000_000  # pairs of rays and triangles that a second allows
@@ -21,7 +22,6 @@ TINY_PX = 500  # pixels of a group below which its values are loose
 CLIPPED = 0.01  # share of pixels worth a word
 FLAT = 0.25  # of the range that a photograph should use
 GB_BASE, GB_PER_MP, MUCH_GB = 0.7, 0.5, 4.0  # peak of render; what is worth a word
-SECONDS, SECONDS_PER_MP = 15, 30  # index to report, two cores
 
 
 class Finding(NamedTuple):
@@ -217,7 +217,7 @@ def _photograph(photograph, turned, lamp):
 def cost(shape) -> Finding:
     """Memory and time to expect. A doubt where they are much. shape : (H, W, ...) of the photograph"""
     megapixels = shape[0] * shape[1] / 1e6
-    memory, seconds = GB_BASE + GB_PER_MP * megapixels, SECONDS + SECONDS_PER_MP * megapixels
+    memory, seconds = GB_BASE + GB_PER_MP * megapixels, progress.typical(progress.PHOTOMETRY, shape[0] * shape[1])
     time = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
     has = _memory_gb()
     text = f"about {memory:.1f} GB of memory and {time} for {megapixels:.1f} megapixels, more where surfaces shine"

@@ -4,37 +4,26 @@
 
 numba keys its cache by the file that a function stands in. A kernel that calls another file's kernel, or uses its
 constants, would go on running with the old ones after an edit there. So each module of kernels gets a folder of its
-own. The folder is named by a hash of the module's source, of the kernel modules that it imports, at any depth, and of
-numba's version.
+own (lib/core/kernel_cache.py).
 
 A kernel is compiled, or read from the cache, when it is first called: an open report lists that apart, as `compile_s`.
 """
 
 import contextlib
 import functools
-import hashlib
 import importlib.util
-import os
-import re
-import shutil
 import sys
-import tempfile
 import threading
 import types
-from pathlib import Path
 
 import numba
 from numba import prange
 from numba.core import event
 
+from lib.core import kernel_cache
 from lib.core.apart import apart
 
 __all__ = ["njit", "prange"]
-
-ROOT = Path(__file__).resolve().parents[2]
-# from lib.a import b, c        from lib.a import (b, c), over several lines        import lib.a
-IMPORT = re.compile(r"^(?:from (lib[.\w]*) import (\([^)]*\)|[^\n]*)|import (lib[.\w]*))", re.M)
-KEPT = 2  # folders of one module: the last edits can be taken back without compiling
 
 
 def _load_blas():
@@ -71,6 +60,9 @@ class _Apart(event.Listener):
 event.register("numba:compiler_lock", _Apart())
 
 
+_folder = functools.cache(kernel_cache.folder)
+
+
 def njit(**options):
     """numba.njit(cache=True, **options) for a function of a *_kernels.py."""
 
@@ -80,57 +72,6 @@ def njit(**options):
             return numba.njit(cache=folder is not None, **options)(function)
 
     return compile_when_called
-
-
-def fingerprint(path) -> str:
-    """Hash of a module's source, of all modules of lib/ that it imports, and of what compiles it.
-
-    path : of a module below ROOT
-    """
-    digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
-    found, todo = set(), [Path(path).resolve()]
-    while todo:
-        file = todo.pop()
-        if file not in found:
-            found.add(file)
-            todo += imported(file)
-    for file in sorted(found):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-@functools.cache
-def imported(path):
-    """Files below ROOT that the module at path imports at its top."""
-    files = []
-    for package, names, module in IMPORT.findall(path.read_text(encoding="utf-8")):
-        dotted = [module] if module else [package, *(f"{package}.{name}" for name in re.findall(r"\w+", names))]
-        stems = [ROOT.joinpath(*name.split(".")) for name in dotted]
-        files += [file for stem in stems for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file()]
-    return files
-
-
-@functools.cache
-def _folder(path):
-    """Where the kernels of the module at path are kept, or None where nothing can be written."""
-    name = ".".join(Path(path).resolve().relative_to(ROOT).with_suffix("").parts)
-    temporary = Path(tempfile.gettempdir()) / f"anasyn-{os.getuid()}"
-    for base in (ROOT / ".kernels", Path.home() / ".cache" / "anasyn", temporary):
-        folder = base / f"{name}-{fingerprint(path)}"
-        if folder.is_dir() and os.access(folder, os.W_OK):
-            return folder
-        with contextlib.suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            _forget(base, name)
-            return folder
-    return None
-
-
-def _forget(base, name):
-    """Remove the folders of earlier versions of a module but for the newest."""
-    versions = sorted(base.glob(f"{name}-*"), key=lambda folder: folder.stat().st_mtime, reverse=True)
-    for folder in versions[KEPT:]:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextlib.contextmanager

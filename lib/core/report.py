@@ -101,6 +101,18 @@ def versions() -> dict[str, str]:
     return {"python": ".".join(map(str, sys.version_info[:3]))} | {p: str(v) for p, v in found.items() if v}
 
 
+class Note(str):
+    """A line that asks for nothing, among lines that are warnings: `Report.warning` puts it among the notes.
+
+    >>> [isinstance(line, Note) for line in (Note("3 were dropped"), Note("3 were dropped").of("a.obj"), "mend it")]
+    [True, True, False]
+    """
+
+    def of(self, path):
+        """The same of a file."""
+        return Note(f"{path}: {self}")
+
+
 class Report:
     """A context manager; the file appears whole when the block ends well, and not at all when it raises."""
 
@@ -108,7 +120,7 @@ class Report:
         self.path, self.arguments, self.outputs = path, dict(arguments or {}), outputs
         self.inputs = [os.fspath(p) for p in inputs if p]
         self.status = "complete"
-        self.warnings, self.errors, self._trace = [], [], []
+        self.warnings, self.notes, self.errors, self._trace = [], [], [], []
         self._timings, self._more = {}, {}
         self._apart = {}  # label -> Clocks: what was excluded
         self._inside = None  # the clocks at the start of an `excluded` that is still open
@@ -173,11 +185,30 @@ class Report:
         self.errors.append({"name": name, "value": value, "unit": unit, "against": against})
 
     def warning(self, text):
-        """Goes into the report and, at once, to stderr; the same text once only."""
+        """Something to do, or to beware of. Goes into the report and, at once, to stderr; the same text once only.
+
+        A `Note` goes where notes go, so that lists may hold both.
+        """
+        if isinstance(text, Note):
+            self.note(text)
+        else:
+            self._say("warning", text, self.warnings)
+
+    def note(self, text):
+        """What is good to know and asks for nothing: what was put right, left out or taken over."""
+        self._say("note", text, self.notes)
+
+    def about(self, path, lines):
+        """Warnings and notes on a file."""
+        for line in lines:
+            self.warning(line.of(path) if isinstance(line, Note) else f"{path}: {line}")
+
+    @staticmethod
+    def _say(kind, text, said):
         text = " ".join(str(text).split())
-        if text not in self.warnings:
-            self.warnings.append(text)
-            print(f"{os.path.basename(sys.argv[0]) or 'python'}: warning: {text}", file=sys.stderr)
+        if text not in said:
+            said.append(text)
+            print(f"{os.path.basename(sys.argv[0]) or 'python'}: {kind}: {text}", file=sys.stderr)
 
     def __setitem__(self, key, value):
         self._more[key] = value
@@ -207,6 +238,7 @@ class Report:
         fields |= {
             "timings": self._timings,
             "warnings": self.warnings,
+            "notes": self.notes,
             "errors": self.errors,
             "trace": self._trace,
             **self._more,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lib.core.report import Note
 from lib.core.stage import BadInput
 from lib.export import microfacet
 from lib.given import materials
@@ -134,7 +135,7 @@ def read(*, model, camera, photograph, materials, up="z") -> Scene:
     pieces = _pieces(view.model, surface, looks, maps)
     glow = found.outside
     if glow[1:].any():
-        warnings.append("the glow that comes in where the model is open is exported as even; its gradient is left out")
+        warnings.append(Note("the glow that comes in where the model is open is exported as even: no gradient"))
     return Scene(view.camera, view.model, pieces, looks, up, glow[0], Path(photograph), found.transfer, warnings)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lib.core import artefact
 from lib.core.stage import BadInput
-from lib.planning import folder, health, progress
+from lib.planning import compiling, folder, health, progress
 from lib.planning.clean import PLAN, WRITTEN
 from lib.planning.command import command, imports
 from lib.planning.files import OBJECTS, PHOTOGRAPH, PHOTOS, PICKED, further_files, here, object_files, pixels
@@ -59,7 +59,7 @@ def write(plan, python, root=ROOT, title=None):
 
 def _expect(plan):
     """commands/seconds: of each stage, how long it and all after it will take; in place, nothing waits for it."""
-    left = "".join(f"LEFT_{name} := {max(1, round(s))}\n" for name, s in _seconds_left(plan).items())
+    left = "".join(f"LEFT_{name} := {words}\n" for name, words in _left(plan).items())
     path = plan.build / "commands" / "seconds"
     if not _holds(path, left):
         path.write_text(left, encoding="utf-8")
@@ -115,6 +115,7 @@ def _head(plan, python, title):
     paths = {goal: plan.build / goal for goal in plan.goals}
     waits_for = {goal: path if plan.scene.given(goal) else plan.certain(goal) for goal, path in paths.items()}
     sure = [path for goal, path in paths.items() if waits_for[goal] == path]
+    sure.sort(key=lambda path: path.name != "check.png")  # the first thing to look at
     page = next((path for path in sure if path.name == "report.html"), None)
     lines = [f"done: {' '.join(map(_make, dict.fromkeys(waits_for.values())))}"]
     if sure:
@@ -133,8 +134,16 @@ def _head(plan, python, title):
         "\t@" + _shell([python, "-m", "lib.planning.progress", plan.build]) + " --began $(BEGAN) " + _shell(said)
     )
     words = f"{WRITTEN}; do not edit.\n# " + explain(plan).replace("\n", "\n# ") + "\n"
+    words += f"# again: {_same_again(plan)}\n"
     seconds = f"-include {_make(plan.build / 'commands' / 'seconds')}\n"
     return words + HEAD + seconds + "\n".join(lines) + "\n"
+
+
+def _same_again(plan):
+    """The command that runs the scene, as lib/planning/next_steps.py reads it."""
+    told = {"DATA": (plan.scene.folder.parent, "data"), "BUILD": (plan.build.parent, "build")}
+    where = [f"{key}={shlex.quote(str(path))}" for key, (path, usual) in told.items() if str(path) != usual]
+    return " ".join(["make", *where, plan.scene.name])
 
 
 def _copying(plan, goal, commands):
@@ -149,18 +158,24 @@ def _copying(plan, goal, commands):
     )
 
 
-def _seconds_left(plan) -> dict[str, float]:
-    """Of each planned stage: how long it and all after it will take, as far as is known."""
+def _left(plan) -> dict[str, str]:
+    """Of each planned stage: how long it and all after it will take, as far as is known, and compiling apart."""
     photograph = plan.scene.given(PHOTOGRAPH)
     size = min(pixels(photograph) or 0, 1e6 * plan.scene.megapixels) if photograph else None
     took = [progress.seconds(plan.stages[n].kind, plan.build / plan.stages[n].report, size) for n in plan.planned]
-    return {name: sum(took[k:]) for k, name in enumerate(plan.planned)}
+    kinds = [plan.stages[name].kind for name in plan.planned]
+    compiles = compiling.seconds(kinds)
+    left = {}
+    for k, name in enumerate(plan.planned):
+        first_time = compiling.words(sum(compiles[kind] for kind in dict.fromkeys(kinds[k:])))
+        left[name] = f"{max(1, round(sum(took[k:])))} s left{first_time}"
+    return left
 
 
 def _begins(plan, stage):
     """A line of shell: which stage begins, the seconds so far, and those that are left."""
     place = f"[{plan.planned.index(stage.name) + 1}/{len(plan.planned)}]"
-    return f'echo "{place} {stage.name}  $$(( $$(date +%s) - $(BEGAN) )) s, about $(LEFT_{stage.name}) left"'
+    return f'echo "{place} {stage.name}  $$(( $$(date +%s) - $(BEGAN) )) s, about $(LEFT_{stage.name})"'
 
 
 def _running(plan, stage, python, root, commands):

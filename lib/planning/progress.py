@@ -1,4 +1,4 @@
-"""What a run says of itself: how long each stage will take, by the last run or by a shipped scene; and its last line.
+"""What a run says of itself: how long each stage will take, by the last run or by a shipped scene; and its last lines.
 
     $ python -m lib.planning.progress build/office --began 1700000000 --title office --page build/office/report.html
 
@@ -11,25 +11,32 @@ from pathlib import Path
 
 from lib.core import artefact
 from lib.core.stage import BadInput
-from lib.planning import gallery
+from lib.planning import gallery, next_steps
 
-# Seconds on the clock of a first run on two cores, 640 x 480 px; what grows with the photograph, and what does not
+# Seconds of a run on two cores, 640 x 480 px, without compiling; what grows with the photograph, and what does not
 TYPICAL = {
-    **{"index": (1, 2), "formfactors": (3, 0), "gather": (3, 1), "fit": (4, 1), "coverage": (1, 1), "render": (3, 5)},
-    **{"compare": (1, 1), "report": (2, 2), "calibrate": (8, 0), "segment": (1, 4), "surfaces": (1, 2)},
-    **{"match": (1, 2), "reconstruct": (2, 4), "recognise": (4, 2), "orient": (4, 2), "undistort": (1, 1)},
+    **{"index": (1, 1), "formfactors": (6, 0), "gather": (4, 1), "fit": (5, 1), "coverage": (1, 1), "render": (8, 5)},
+    **{"compare": (1, 0), "report": (3, 2), "calibrate": (20, 0), "segment": (2, 2), "surfaces": (1, 1)},
+    **{"match": (1, 1), "reconstruct": (1, 2), "recognise": (1, 2), "orient": (4, 2), "undistort": (1, 0)},
 }
 ELSE = (2, 1)
+PHOTOMETRY = ("index", "formfactors", "gather", "fit", "coverage", "render", "compare", "report")
 SIZE = 640 * 480
 
 
 def seconds(stage, report, pixels=None) -> float:
-    """Expected on the clock: what the last run took, else what is typical of so many pixels."""
+    """Expected on the clock, without compiling: what the last run took, else what is typical of so many pixels."""
     try:
-        return float(_read(report)["waited_s"])
+        last = _read(report)
+        return float(last["waited_s"]) - float(last.get("compile_wall_s") or 0)
     except (TypeError, KeyError, ValueError):
-        fixed, growing = TYPICAL.get(stage, ELSE)
-        return fixed + growing * (pixels or SIZE) / SIZE
+        return typical([stage], pixels)
+
+
+def typical(stages, pixels=None) -> float:
+    """Seconds of stages on a photograph of so many pixels, by the shipped scenes."""
+    of = [TYPICAL.get(stage, ELSE) for stage in stages]
+    return sum(fixed + growing * (pixels or SIZE) / SIZE for fixed, growing in of)
 
 
 def _read(path):
@@ -62,6 +69,8 @@ def summary(build, title, page, began, stages) -> str:
         words.append(f"noise on {', '.join(noisy)}")
     warnings = sum(len(r.get("warnings", [])) for r in reports)
     words.append(f"{warnings} warning{'s' * (warnings != 1)}")
+    if notes := sum(len(r.get("notes") or []) for r in reports):
+        words.append(f"{notes} note{'s' * (notes != 1)}")
     words.append(f"{time.time() - began:.0f} s")
     place = Path(page).resolve().as_uri() if page.endswith(".html") else page
     return f"{title}: {', '.join(words)}: {place}"
@@ -79,6 +88,8 @@ def main():
     parser.add_argument("--stages", nargs="*", default=[])
     opt = parser.parse_args()
     gallery.write(Path(opt.build).parent)
+    for line in next_steps.steps(next_steps.read(opt.build, opt.title, opt.stages)):
+        print(f"- {line}")
     print(summary(opt.build, opt.title, opt.page, opt.began, opt.stages))
 
 

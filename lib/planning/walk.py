@@ -229,7 +229,8 @@ def _missing_facts(plan):
     said = lambda key: any(problem.startswith(f"{yaml}: {key}") for problem in scene.problems)
     photometry = [n for n in plan.planned if {"lamps", "lamp_groups"} & set(plan.stages[n].facts.values())]
     if photometry and not scene.lamps and not said("lamps"):
-        yield f"{yaml}: lamps: missing, and {photometry[0]} needs to know which groups emit"
+        way = "write `lamps: {lamp: unknown}`, by the names of the model's groups"
+        yield f"{yaml}: lamps: missing, and {photometry[0]} needs to know which groups emit: {way}"
     calibrators = [n for n in plan.planned if "board" in plan.stages[n].facts.values()]
     if not calibrators:
         return

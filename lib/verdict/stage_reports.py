@@ -65,6 +65,7 @@ class StageReport:
     wall_s: float | None = told(number())
     peak_mb: float | None = told(number())
     warnings: list = told(list_with(word(), "words"), list)
+    notes: list = told(list_with(word(), "words"), list)
     errors: list = list_of(Error)
     trace: list = told(list_with(table, "tables"), list)
     arguments: dict = told(table, dict)

@@ -1,6 +1,6 @@
 """What each reader of strangers' files understands, refuses and leaves out, as Markdown, from the readers themselves.
 
-    $ python -m tests.bench.reader_table > docs/readers.md
+$ python -m tests.bench.reader_table > docs/readers.md
 """
 
 import importlib
@@ -37,7 +37,12 @@ def page() -> str:
 def _section(of: Format):
     lines = [f"## {of.name}", "", f"Read: {'; '.join(of.read)}.", ""]
     if of.refused:
-        lines += ["| refused | the way out |", "| --- | --- |", *(f"| {what} | {way} |" for what, way in of.refused), ""]
+        lines += [
+            "| refused | the way out |",
+            "| --- | --- |",
+            *(f"| {what} | {way} |" for what, way in of.refused),
+            "",
+        ]
     if of.left_out:
         lines += [f"Left out, and counted: {'; '.join(of.left_out)}.", ""]
     return "\n".join(lines)

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from lib.core.report import Note
 from lib.core.stage import BadInput
 from lib.given.model.facets import joined
 from lib.given.model.lids import Lids, lids
@@ -128,7 +129,7 @@ def build(path, polygons) -> Model:
     sliver = np.linalg.norm(v, axis=1) <= 1e-15 * np.ptp(p, axis=1).max(axis=1) ** 2  # of collinear corners
     first = _first_of_its_like(np.column_stack([np.sort(position[triangles], axis=1), triangle_facet]))
     if not first.all():
-        warnings.append(f"{np.count_nonzero(~first)} triangles that stand there twice were dropped")
+        warnings.append(Note(f"{np.count_nonzero(~first)} triangles that stand there twice were dropped"))
     keep = first & ~sliver
     triangles, of_piece, triangle_facet, p, v = (a[keep] for a in (triangles, of_piece, triangle_facet, p, v))
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lib.core.report import Note
 from lib.core.stage import BadInput
 from lib.given.model.triangles import ears
 
@@ -101,7 +102,7 @@ def planar_pieces(path, polygons, position) -> tuple[Pieces, list[str], int]:
     rounding = 4 * np.finfo(float).eps * np.abs(vertices).max()
     empty = (size < 3) | (area <= 1e-12 * diameter**2 + rounding * diameter)
     if empty.any():
-        warnings.append(f"{empty.sum()} polygons without area were dropped")
+        warnings.append(Note(f"{empty.sum()} polygons without area were dropped"))
         if empty.all():
             raise BadInput(f"{path}: faces: none of the {len(size)} has an area")
     crooked = ~empty & (size > 3) & (height > FLAT * np.sqrt(area))

@@ -26,7 +26,6 @@ def _page(parts: Parts, width):
     about = summary.about(parts)
     sections = [
         running.warnings_section(parts),
-        summary.hero(parts, width),
         changed.changed_section(parts, width),
         photometry.difference_section(parts, width),
         photometry.materials_section(parts),
@@ -38,6 +37,7 @@ def _page(parts: Parts, width):
         further.further_section(parts.further, width),
         photometry.buffers_section(parts, width),
         exports.exports_section(parts),
+        running.notes_section(parts),
         running.convergence_section(parts),
         running.times_section(parts),
         running.made_section(parts),
@@ -49,6 +49,8 @@ def _page(parts: Parts, width):
         about=about,
         About=sentence(about),
         verdict=summary.verdict(parts),
+        steps=parts.steps,
+        hero=summary.hero(parts, width),
         warnings=sum(len(report.warnings) for report in parts.reports.values()),
         contents=[found for section in sections for found in TITLE.findall(section)],
         sections=sections,

@@ -135,6 +135,19 @@ def css(rgb):
     return "#" + "".join(f"{int(c):02x}" for c in rgb)
 
 
+def coded(text):
+    """HTML of a line in which what is to be typed stands between backquotes.
+
+    >>> str(coded("Run `make x`: <b>"))
+    'Run <code>make x</code>: &lt;b&gt;'
+    """
+    import markupsafe
+
+    pieces = [markupsafe.escape(piece) for piece in text.split("`")]
+    wrapped = [markupsafe.Markup(f"<code>{piece}</code>") if k % 2 else piece for k, piece in enumerate(pieces)]
+    return markupsafe.Markup("").join(wrapped)
+
+
 # ---- templates ----
 
 
@@ -153,7 +166,7 @@ def _environment():
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters = (number, fixed, percent, at_least, pm, coordinate, plain, sentence, listed, css)
+    filters = (number, fixed, percent, at_least, pm, coordinate, plain, sentence, listed, css, coded)
     environment.filters |= {function.__name__: function for function in filters}
     environment.globals |= {"finite": finite, "plural": plural}
     return environment

@@ -11,6 +11,7 @@ import numpy as np
 
 from lib.core import record
 from lib.given import cameras, image, materials, model
+from lib.planning import next_steps
 from lib.verdict import records, stage_reports
 from lib.verdict.comparison import Comparison
 from lib.verdict.page import further
@@ -41,7 +42,7 @@ class Parts:
     thumbnails : {group: {facet: ladder.Thumbnail}}
     changed : [Changed], the entries of `augment`;  further : [further.Shown], of photos/
     exports : {kind: its file, as the page names it};  view : the HTML of the exported scene in space
-    placed : the model over the photograph, where there is but one
+    placed : the model over the photograph, where there is but one;  steps : what to do next, lines
     """
 
     scene: str = "scene"
@@ -67,6 +68,7 @@ class Parts:
     exports: dict = field(default_factory=dict)
     view: str | None = None
     placed: Placed | None = None
+    steps: list = field(default_factory=list)
 
     @property
     def groups(self):
@@ -125,7 +127,15 @@ def read(files, scene, reports, page, changed=()) -> Parts:
         further=_read_further(files),
         placed=_read_placed(files),
         exports={kind: _beside(page, files[kind]) for kind in EXPORTS if files[kind]},
+        steps=_steps(files, scene, reports, page),
     )
+
+
+def _steps(files, scene, reports, page):
+    """What to do next, as the terminal says it."""
+    stages = {Path(path).name.removesuffix(".report.json") for path in reports}
+    stages |= {"fit"} if files["materials"] else set()
+    return next_steps.steps(next_steps.read(Path(page).parent, scene, stages))
 
 
 def _read_placed(files):

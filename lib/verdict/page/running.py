@@ -118,6 +118,12 @@ def warnings_section(parts: Parts):
     return render("warnings.html", warnings=warnings) if warnings else ""
 
 
+def notes_section(parts: Parts):
+    """What asks for nothing, apart from the warnings."""
+    notes = [(stage, text) for stage, report in parts.reports.items() for text in report.notes]
+    return render("notes.html", notes=notes) if notes else ""
+
+
 def made_section(parts: Parts):
     """All errors with their yardsticks; arguments, versions and inputs of every stage; what was left out."""
     if not parts.reports and not parts.plan and not parts.compared.errors:

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from lib.core.report import Note
+
 UP = 0.9  # cosine: an axis that points up in the picture is a height
 
 
@@ -10,14 +12,13 @@ def warnings(result) -> list[str]:
     said = []
     for p in result.placed:
         if p.found is False:
-            said.append(f"{p.name}: is not in the photographs, and is left out")
+            said.append(Note(f"{p.name}: is not in the photographs, and is left out"))
         elif p.found is None:
             shown = f", {100 * p.fit.support:.0f} % of its edges at the best place" if p.fit and p.fit.number else ""
             said.append(f"{p.name}: the photographs cannot tell where it is, or whether it is there{shown}")
         elif p.why == "refined":
-            said.append(
-                f"{p.name}: stands {100 * moved_m(result, p):.1f} cm from where the model has it, and was moved"
-            )
+            far = f"{100 * moved_m(result, p):.1f} cm"
+            said.append(Note(f"{p.name}: stands {far} from where the model has it, and was moved"))
     for p in result.aside:
         far = f"{100 * moved_m(result, p, is_there=False):.1f} cm"
         said.append(f"{p.name}: stands {far} from where the model has it; `refine: [objects]` would move it")
