@@ -1,10 +1,13 @@
 """What the photograph shows and the model has not."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 
-from lib.analysis import strangers
+from lib.analysis import agreement, strangers
+from lib.given.materials import Why
 
 CORNERS = np.array([[60, 40], [110, 35], [112, 90], [58, 95]])  # of a thing, x, y px
 
@@ -62,3 +65,13 @@ def test_a_thing_stands_before_two_surfaces_where_its_sharp_outline_goes_on_over
     assert strangers._is_of_one(owner[mine])
     assert picture.is_before_several(mine, owner) == (blur == 0)
     assert not picture.is_before_several(mine, np.zeros_like(owner))
+
+
+@pytest.mark.parametrize("blocks", [True, False])
+def test_a_jpeg_that_was_stored_anew_is_named_before_things_that_its_blocks_look_like(blocks):
+    """office at quality 30, stored as PNG, was said to lack three objects; nothing is said where all fits."""
+    photograph = SimpleNamespace(lost_tables=blocks)
+    proved, seen = Why("lamp_power", "lamp", "", 80.0), Why("object_missing", None, "", None)
+    why = agreement.of_the_file([proved, Why("unknown", None, "", None), seen], photograph)
+    assert [w.cause for w in why] == ["lamp_power", *(["noise"] if blocks else ["unknown"]), "object_missing"]
+    assert agreement.of_the_file([], photograph) == []

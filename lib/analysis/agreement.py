@@ -19,6 +19,7 @@ from lib.analysis.gather import Gathered
 from lib.analysis.gauss_newton import gauss_newton
 from lib.analysis.problem import CauseTerms, Problem, Result, display_residual
 from lib.analysis.uncertainty import doubts, widen
+from lib.given import jpeg
 from lib.given.materials import Why
 from lib.given.transfer import Transfer
 from lib.given.transfer_kinds import OF_PICTURE
@@ -64,7 +65,8 @@ def disagreements(problem: Problem, result: Result, found: Gathered, asked, riva
     if not why and not fits(result):
         text = (
             f"the re-rendering differs from the photograph by {result.correlated:.1f} times what noise explains, alike"
-            " over whole surfaces: the pose, the place of a lamp or of an object, or a material is not as given"
+            " over whole surfaces: the pose, the place of a lamp or of an object, or a material is not as given, or the"
+            " picture's contrast was changed from place to place (HDR, clarity)"
         )
         why = [Why("unknown", None, text, None)]
     return why or _on_bounds(problem, result)
@@ -74,6 +76,19 @@ def joined(why, displaced) -> list[Why]:
     """Both lists, the likeliest first; what is displaced tells what was unknown."""
     why = [w for w in why if w.cause != "unknown" or not displaced]
     return sorted([*why, *displaced], key=lambda w: -(w.evidence_nats or np.inf))
+
+
+def of_the_file(why, photograph) -> list[Why]:
+    """With what was done to the photograph, where its pixels tell.
+
+    It stands behind what the light proves, and before what is only seen: blocks of a JPEG look like things.
+    """
+    if not why or not photograph.lost_tables:
+        return why
+    text = f"the photograph was a JPEG, and its blocks may be all that is wrong: {jpeg.NO_TABLES}"
+    proved = [w for w in why if w.evidence_nats is not None]
+    seen = [w for w in why if w.evidence_nats is None and w.cause != "unknown"]
+    return [*proved, Why("noise", None, text, None), *seen]
 
 
 def out_of_range(found: Gathered) -> bool:

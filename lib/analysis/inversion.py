@@ -41,6 +41,7 @@ def solve(task: Task, report: Report) -> Answer:
     once = lambda task: _solved(task, report)
     dark = blackness.groups(task)
     answer = blackness.solved(task, dark, once) if dark else once(task)
+    answer.why = agreement.of_the_file(answer.why, task.view().photograph) if task.can_look else answer.why
     if answer.ladder:
         report["ladder"] = answer.ladder
     return answer

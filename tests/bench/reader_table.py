@@ -11,12 +11,12 @@ from lib.given.formats import Format
 
 HEAD = """# What is read, what is refused, what is left out
 
-Every reader of strangers' files keeps one contract. What a file *requires* and the reader does not understand is refused, by
-name and with the way out: one line, exit status 2, nothing written. What is optional and left out is counted and said in
-one line by `make new-scene` and `make <scene>/check`. Nothing is passed over in silence.
+Every reader of strangers' files keeps one contract. What a file *requires* and the reader does not understand is
+refused, by name and with the way out: one line, exit status 2, nothing written. What is optional and left out is
+counted and said in one line by `make new-scene` and `make <scene>/check`. Nothing is passed over in silence.
 
-A reader declares what it understands as `FORMAT` (`lib/given/formats.py`); `python -m tests.bench.reader_table` makes this
-page of these, and a test compares them.
+A reader declares what it understands as `FORMAT` (`lib/given/formats.py`); `python -m tests.bench.reader_table` makes
+this page of these, and a test compares them.
 
 """
 
