@@ -208,7 +208,9 @@ def blender(tmp_path, monkeypatch, root, size, fit, aspect):
         def normalized(self):
             return self
 
-    data = SimpleNamespace(sensor_fit=fit, sensor_width=36.0, sensor_height=24.0, lens=35.0, shift_x=0.1, shift_y=-0.07)
+    data = SimpleNamespace(
+        type="PERSP", sensor_fit=fit, sensor_width=36.0, sensor_height=24.0, lens=35.0, shift_x=0.1, shift_y=-0.07
+    )
     render = SimpleNamespace(resolution_x=2 * size[0], resolution_y=2 * size[1], resolution_percentage=50)
     render.pixel_aspect_x, render.pixel_aspect_y = aspect
     camera = SimpleNamespace(data=data, matrix_world=Matrix(map(tuple, matrix)))

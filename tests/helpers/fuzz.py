@@ -506,7 +506,7 @@ PROJECT = {
     "image": {"width": 640, "height": 480},
 }  # fmt: skip
 BLENDER = {
-    **{"lens_px": [500.0, 500.0], "shift_px": [0.0, 0.0], "size_px": [640, 480]},
+    **{"type": "PERSP", "lens_px": [500.0, 500.0], "shift_px": [0.0, 0.0], "size_px": [640, 480]},
     "matrix_world": [1, 0, 0, 1, 0, 0, -1, 2, 0, 1, 0, 1, 0, 0, 0, 1],
 }
 CAMERAS_TXT = b"# Camera list\n1 OPENCV 640 480 500 510 320 240 .1 0 0 0\n"
