@@ -223,7 +223,9 @@ def parse(path, count_of):
     raw = bounded.content(path, bounded.LARGEST_TEXT)
     content = _literal(path, raw)
     if not isinstance(content, dict):
-        raise BadInput(f"{path}: not a camera model: a {type(content).__name__} instead of a dictionary")
+        known = camera_names.of(raw[:HEAD])
+        wrong = f"is {known}" if known else f"a {type(content).__name__} instead of a dictionary"
+        raise BadInput(f"{path}: not a camera model: {wrong}")
     if other := _other_camera(content, raw[:HEAD]):
         raise BadInput(f"{path}: not a camera model: {other}")
 

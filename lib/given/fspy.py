@@ -25,6 +25,7 @@ UNREADABLE = (ValueError, KeyError, TypeError, IndexError, AttributeError, Arith
 DISTANCE = 10.0  # to the origin, where no distance is told
 AXES = {f"{'xyz'[k]}{sign}": s * np.eye(3)[k] for k in range(3) for sign, s in (("Positive", 1), ("Negative", -1))}
 SAVE = "open it in fSpy 1.0.3 and save it"
+PICTURES = (b"\x89PNG", b"\xff\xd8")  # whose headers are read
 SWAPPED = (5, 6, 7, 8)  # EXIF's orientations whose sides change places
 # The sides in mm of the sensors that fSpy knows by name; older projects hold the name alone
 SENSORS = {
@@ -59,7 +60,7 @@ def read(path) -> tuple[Camera, tuple[str, ...]]:
             solved, metres, said = _of_project(path, content)
         else:
             told = bounded.json_of(path, content)
-            metres, said = 1.0, ()
+            metres, said = 1.0, ("fSpy's JSON tells no unit: read as metres",)
             solved = _told(told.get("cameraParameters", told))
     except UNREADABLE as error:
         raise BadInput(f"{path}: not a readable file of fSpy: {type(error).__name__}: {error}") from None
@@ -107,6 +108,8 @@ def _size(path, state, picture):
     if not picture:
         raise BadInput(f"{path}: has neither cameraParameters nor a picture: its size is not told: {SAVE}")
     try:
+        if not picture.startswith(PICTURES):
+            raise ValueError
         with picture_files.opened(io.BytesIO(picture)) as opened:
             size, turn = opened.size, opened.getexif().get(274)
     except Exception:  # whatever a damaged picture makes of it
@@ -151,11 +154,14 @@ def _solved(path, state, size):
     return f, P, T, width, height
 
 
+def _parts(state, way):
+    """Control points of both ways to calibrate, settings and control points of one."""
+    return state["controlPointsStateBase"], state[f"calibrationSettings{way}"], state[f"controlPointsState{way}"]
+
+
 def _of_two(path, state, flat):
     """(two vanishing points, principal point, focal length) in fSpy's plane."""
-    base, own, points = (
-        state[k] for k in ("controlPointsStateBase", "calibrationSettings2VP", "controlPointsState2VP")
-    )
+    base, own, points = _parts(state, "2VP")
     first = base["firstVanishingPoint"]["lineSegments"]
     second = points["secondVanishingPoint"]["lineSegments"]
     if own["quadModeEnabled"]:
@@ -174,9 +180,7 @@ def _of_two(path, state, flat):
 
 def _of_one(path, state, flat):
     """The same of one vanishing point: the focal length is told, and the other point lies along the horizon."""
-    base, own, points = (
-        state[k] for k in ("controlPointsStateBase", "calibrationSettings1VP", "controlPointsState1VP")
-    )
+    base, own, points = _parts(state, "1VP")
     f = 2 * float(own["absoluteFocalLength"]) / max(_sensor(state["calibrationSettingsBase"]["cameraData"]))
     P = flat(base["principalPoint"]) if own["principalPointMode"] == "Manual" else np.zeros(2)
     U = _meeting(path, base["firstVanishingPoint"]["lineSegments"], flat)

@@ -57,7 +57,7 @@ def _read(path, size, image):
     start = re.sub(rb"\A(\xef\xbb\xbf|\s|#[^\n]*(\n|\Z))+", b"", head)  # without comments
     if head.startswith(fspy.MAGIC):
         return _fspy(path)
-    if re.search(rb"""["']lensmodel["']\s*:""", head) or re.match(rb"\{\s*(#[^\n]*\s*)*'", start):
+    if re.search(rb"""["']lensmodel["']\s*:""", head) or re.match(rb"\{\s*(#[^\n]*\n\s*)*'", start):
         return _mrcal(path)
     if line := camera_names.of(head):
         raise BadInput(f"{path}: is {line}")
@@ -65,7 +65,10 @@ def _read(path, size, image):
         return _of_json(path, content, size, image)
     if start.startswith(b"<") or re.match(rb"""%YAML|---|["']?[\w.]+["']? *:(\s|\Z)""", start):
         return _of_table(path, storage.read(path, content), image)
-    return _mrcal(path)
+    try:
+        return _mrcal(path)
+    except BadInput as bad:
+        raise BadInput(*(f"{problem}; read are {READ}" for problem in bad.problems)) from None
 
 
 def _of_json(path, content, size, image):

@@ -59,7 +59,7 @@ def is_file(path) -> bool:
 
 
 def read(path, image) -> Found:
-    """path : a folder, or a file of a model;  image : the photograph's name in it. BadInput: not one, or which is open"""
+    """path : a folder, or a file of a model;  image : the photograph's name in it. BadInput: none, or which is open"""
     if path.is_dir():
         return _of_folder(path, image)
     return _of_model(path.parent, image, path.suffix)
@@ -218,7 +218,8 @@ def _is_image(words):
 def _is_points(line):
     """X Y POINT3D_ID, over and over."""
     words = line.split()
-    return len(words) % 3 == 0 and all(map(_is_whole, words[2::3])) and all(map(_is_number, words))
+    first = words[:9]
+    return len(words) % 3 == 0 and all(map(_is_whole, first[2::3])) and all(map(_is_number, first))
 
 
 def _is_whole(word):

@@ -43,21 +43,17 @@ def is_one(told) -> bool:
 
 
 def read(path, told, size, image) -> Found:
-    """told : the JSON value;  size : of the photograph, where the file tells none. BadInput: not one, or which is open"""
+    """told : the JSON value;  size : of the photograph, where the file tells none. BadInput: none, or which is open"""
     try:
         frame, said = _frame(path, told["frames"], image)
         told = {**told, **frame}
-        width, height = told.get("w"), told.get("h")
-        if width is None or height is None:
-            width, height = size
-            said.append(f"the file tells no size: taken to be of the photograph's {width} x {height}")
+        sides = storage.whole(told.get("w")), storage.whole(told.get("h"))
         _check_model(path, told)
-        K = _matrix(path, told, width, height)
+        K = _matrix(path, told, *(size if None in sides else sides))
         lens, numbers, _ = opencv.of_numbers(path, K, _distortion(path, told))
         T, lines = _pose(told)
     except UNREADABLE as error:
         raise BadInput(f"{path}: not a readable transforms.json: {type(error).__name__}: {error}") from None
-    sides = storage.whole(width) or 0, storage.whole(height) or 0
     return Found("nerfstudio", lens, numbers, *sides, T, (*said, *lines))
 
 

@@ -25,11 +25,12 @@ OF_D = (
 SIDE = r"(1|2|l|r|left|right)"
 K_OF_SIDE = re.compile(rf"(?:m|k|mtx|cameramatrix|intrinsicmatrix){SIDE}$")
 D_OF_SIDE = re.compile(rf"(?:d|dist|distcoeffs?|distortioncoefficients|distortion){SIDE}$")
-RECTIFIED = "matrix of rectified pictures"
 # Poses that are not the photograph's, or cameras of rectified pictures
 ELSEWHERE = {
-    **dict.fromkeys(("rvecs", "tvecs", "extrinsicparameters", "extrinsics"), "table of the calibration boards' poses"),
-    **dict.fromkeys(("rectificationmatrix", "projectionmatrix", "p", "p1", "p2", "r1", "r2", "q"), RECTIFIED),
+    **dict.fromkeys(("rvecs", "tvecs", "extrinsicparameters", "extrinsics"), "board pose table"),
+    **dict.fromkeys(
+        ("rectificationmatrix", "projectionmatrix", "p", "p1", "p2", "r1", "r2", "q"), "rectification value"
+    ),
 }
 FISHEYE = re.compile(r"fish|equi|kannala|\bkb[48]?\b|omni|\bmei\b|\beucm\b|\bds\b|\bfov\b|unified|scaramuzza|360", re.I)
 PLANE = re.compile(r"plumb|rational|rad|brown|pinhole|perspective|opencv|polynomial|none|^$|rectified|thin_prism", re.I)
@@ -77,6 +78,8 @@ def read(path, table, image) -> Found:
     for name in table.names:
         if what := ELSEWHERE.get(storage.plain(name)):
             left.add(what)
+    if T is None and {"r", "t"} <= set(map(storage.plain, table.names)):
+        more.append("R and T are not read, they may be of a pair: name the photograph's pose rvec, tvec")
     said = [*said, *lines, *more, *filter(None, [left.line()])]
     return Found("OpenCV", lens, numbers, *_size(path, table), T, tuple(said))
 
@@ -94,7 +97,8 @@ def check_model(path, table):
     if table.get("xi") is not None:
         raise BadInput(f"{path}: xi: an omnidirectional lens (cv2.omnidir): {UNDISTORT}")
     # OpenCV's sample program writes the flags of its fisheye calibration as a comment
-    if re.search(r"(#|<!--)[^\n]*\b(fix_skew|recompute_extrinsic|check_cond)\b", table.words):
+    comments = [line for line in table.words.split("\n") if "#" in line or "<!--" in line]
+    if any(word in line for line in comments for word in ("fix_skew", "recompute_extrinsic", "check_cond")):
         raise BadInput(f"{path}: flags: those of a fisheye: {UNDISTORT}")
 
 
@@ -182,7 +186,9 @@ def _size(path, table):
     """(width, height) px, None where the file tells none. BadInput: of a part of the sensor, or of joined pixels"""
     for name in ("binningx", "binningy"):
         if _flag(table.get(name)) > 1:
-            raise BadInput(f"{path}: {name}: pixels are joined, and the camera is of single ones: divide K by it")
+            raise BadInput(
+                f"{path}: {table.spelt(name)}: pixels are joined, and the camera is of single ones: divide K by it"
+            )
     roi = table.get("roi")
     if isinstance(roi, dict) and any(_flag(roi.get(name)) for name in ("x_offset", "y_offset", "width", "height")):
         raise BadInput(f"{path}: roi: the picture is a part of the sensor's: take cx, cy from its corner, without roi")

@@ -48,8 +48,8 @@ def read(path, table, image) -> Found:
     elif isinstance(values.get("projectionparameters"), dict):
         lens = values.get("distortionparameters")
         numbers = {**values["projectionparameters"], **(lens if isinstance(lens, dict) else {})}
-        said, found = [], _of_names(path, "VINS", numbers | {"width": values.get("imagewidth")})
-        found = found.__class__(**{**vars(found), "height": storage.whole(values.get("imageheight"))})
+        sides = {side: values.get(f"image{side}") for side in ("width", "height")}
+        said, found = [], _of_names(path, "VINS", numbers | sides)
     else:
         left.add("pose to another sensor", sum(storage.plain(name) == "tbs" for name in table.names))
         said, found = [], _of_four(path, "EuRoC", values)
@@ -62,7 +62,7 @@ def _of_four(path, kind, values):
     if model != "pinhole":
         raise BadInput(f"{path}: camera_model: {model:.40}: {opencv.UNDISTORT}")
     if storage.plain(values.get("distortionmodel") or "") not in RADTAN:
-        raise BadInput(f"{path}: distortion_model: {values['distortionmodel']!s:.40}: a fisheye: {opencv.UNDISTORT}")
+        raise BadInput(f"{path}: distortion_model: {values['distortionmodel']!s:.40} is not radtan: {opencv.UNDISTORT}")
     four = storage.matrix(path, "intrinsics", values.get("intrinsics"))
     if four is None or four.size != 4:
         raise BadInput(f"{path}: intrinsics: 4 numbers are needed: fx, fy, cx, cy")
@@ -87,6 +87,5 @@ def _of_names(path, kind, numbers):
     k3 = ["k3"] if numbers.get("k3") else []
     D = of("k1", "k2", "p1", "p2", *k3)
     lens, intrinsics, _ = opencv.of_numbers(path, of("fx", "fy", "cx", "cy"), D)
-    return Found(
-        kind, lens, intrinsics, storage.whole(numbers.get("width")), storage.whole(numbers.get("height")), None
-    )
+    sides = (storage.whole(numbers.get(name)) for name in ("width", "height"))
+    return Found(kind, lens, intrinsics, *sides, None)

@@ -15,7 +15,15 @@ from lib.core.stage import BadInput
 # Names of YAML files whose values are looked at; the others may be long
 WANTED = (
     *(r"camera_?matrix\w*", r"mtx\w*", r"intrinsic\w*", r"[mkd][12lr]?", r"xi", r"dist\w*", r"[rt]vec", r"rotation\w*"),
-    *(r"translation\w*", r"image_?\w*", r"img_?size", r"width", r"height", r"resolution", r"roi", r"binning_[xy]"),
+    *(
+        r"translation\w*",
+        r"(image|img)_?(width|height|size)",
+        r"width",
+        r"height",
+        r"resolution",
+        r"roi",
+        r"binning_[xy]",
+    ),
     *(r"\w*model\w*", r"\w*type", r"\w*fisheye\w*", r"flags", r"cam\d+", r"camera\d?\.\w+", r"projection_parameters"),
 )
 
@@ -87,6 +95,7 @@ def matrix(path, name, value):
         data = np.array(value["data"] if isinstance(value, dict) else value, float)
         if isinstance(value, dict):
             sides = value["sizes"] if "sizes" in value else [value["rows"], value["cols"]]
+            sides = sides if isinstance(sides, list) else [sides]  # XML's list of one is a number
             channels = re.match(r"\d+", str(value.get("dt", "")))  # 3d: triples of numbers
             many = math.prod(sides) * (int(channels[0][:3]) if channels else 1)
             if list(sides) != [int(side) for side in sides] or data.size != many:
