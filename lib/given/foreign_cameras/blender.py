@@ -33,7 +33,7 @@ def read(path) -> Found:
             f"orthographic or panoramic: {AGAIN}"
         )
     if kind != "PERSP":
-        word = {"ORTHO": "orthographic", "PANO": "panoramic"}.get(kind, f"{kind!r:.40}")
+        word = {"ORTHO": "orthographic", "PANO": "panoramic"}.get(str(kind), f"{kind!r:.40}")
         raise BadInput(f"{path}: type: the camera is {word}: set it to Perspective in Blender, and {AGAIN}")
     try:
         lens, (sx, sy) = told["lens_px"], told["shift_px"]

@@ -105,6 +105,8 @@ def of_photograph(path, found, size, turn) -> Found:
 
 def _factor(told, shown):
     """Words for a camera of the same picture in another size; none where it is of another shape."""
+    if not all(0 < side < FARTHEST for side in told):
+        return ""
     across, down = (a / b for a, b in zip(told, shown, strict=True))
     return f" ({across:.4g} times as large)" if abs(across / down - 1) < 0.01 else ""
 
