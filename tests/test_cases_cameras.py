@@ -241,6 +241,11 @@ def test_31_more_tools_by_name(tmp_path, name):
         lenses.read(tmp_path / "left.cameramodel")
 
 
+def test_31_k1_of_a_lens_is_no_matrix_of_a_pair(tmp_path):
+    (tmp_path / "a.yml").write_text("k1: 0.1\nk2: 0.2\n")
+    refused(tmp_path / "a.yml", "is no camera that is known (k1, k2)")
+
+
 def test_31_what_no_tool_is_known_for(tmp_path):
     for text in ("hello\n", '{"a": 1}', "a: 1\n", "<a><b/></a>"):
         (tmp_path / "x").write_text(text)

@@ -152,9 +152,13 @@ def names_of(text) -> list[str]:
 
 def _blocks(text):
     """The first document's lines from one name at the left margin to the next."""
-    documents = re.split(r"^---[ \t]*$", text.replace("\r\n", "\n"), flags=re.M)
-    named = [d for d in documents if re.search(r"^[\w\"']", d, re.M)]
-    return re.split(r"^(?=[\w\"'])", named[0], flags=re.M) if named else []
+    text = text.replace("\r\n", "\n")
+    first = re.search(r"^[\w\"']", text, re.M)
+    if not first:
+        return []
+    end = re.compile(r"^---[ \t]*$", re.M).search(text, first.start())
+    document = text[first.start() : end.start() if end else len(text)]
+    return re.split(r"^(?=[\w\"'])", document, flags=re.M)
 
 
 def _load(path, text, loader):

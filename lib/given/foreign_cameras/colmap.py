@@ -182,7 +182,7 @@ def _table(folder, name, form):
         lines = bounded.text(path).split("\n")
         return (_cameras_txt if name == "cameras" else _images_txt)(lines)
     except (ValueError, IndexError, KeyError, ArithmeticError, struct.error) as error:
-        raise BadInput(f"{path}: not readable: {type(error).__name__}: {error}") from None
+        raise BadInput(f"{folder / name}: not readable: {type(error).__name__}: {error}") from None
 
 
 def _cameras_txt(lines):

@@ -58,7 +58,12 @@ FORMAT = Format(
 
 def is_one(table) -> bool:
     """Does a storage.Table have a camera's matrix?"""
-    return table.get(*OF_K) is not None or any(K_OF_SIDE.match(name) for name in table.values)
+    return table.get(*OF_K) is not None or any(K_OF_SIDE.match(n) and _is_matrix(v) for n, v in table.values.items())
+
+
+def _is_matrix(value):
+    """k1, k2 may be a pair's matrices, or numbers of a lens."""
+    return isinstance(value, dict | list)
 
 
 def read(path, table, image) -> Found:
@@ -113,7 +118,7 @@ def _matrices(path, table, image):
     sides = {}
     for pattern, which in ((K_OF_SIDE, 0), (D_OF_SIDE, 1)):
         for name, value in table.values.items():
-            if found := pattern.match(name):
+            if (found := pattern.match(name)) and _is_matrix(value):
                 side = "left" if found[1] in ("1", "l", "left") else "right"
                 sides.setdefault(side, [None, None])[which] = storage.matrix(path, name, value)
     sides = {side: pair for side, pair in sides.items() if pair[0] is not None}

@@ -28,6 +28,9 @@ WANTED = (
 )
 
 
+MOST_NAMES = 10_000  # of an XML file
+
+
 class Table(NamedTuple):
     """values : {name: value}, by the name without case, underscores and dots;  names : all that the file has, as it has
     them;  words : its head as text, for comments"""
@@ -61,7 +64,10 @@ def read(path, content) -> Table:
     words = content[:100_000].decode("utf-8", "replace")
     if start.startswith(b"<"):
         try:
-            told = {element.tag: _of_element(element) for element in ElementTree.fromstring(content)}
+            root = ElementTree.fromstring(content)
+            if len(root) > MOST_NAMES:
+                raise ValueError(f"more than {MOST_NAMES} names")
+            told = {element.tag: _of_element(element) for element in root}
         except (ElementTree.ParseError, ValueError) as error:
             raise BadInput(f"{path}: not readable XML: {error}") from None
         names = tuple(told)
