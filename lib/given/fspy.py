@@ -26,7 +26,6 @@ DISTANCE = 10.0  # to the origin, where no distance is told
 AXES = {f"{'xyz'[k]}{sign}": s * np.eye(3)[k] for k in range(3) for sign, s in (("Positive", 1), ("Negative", -1))}
 SAVE = "open it in fSpy 1.0.3 and save it"
 PICTURES = (b"\x89PNG", b"\xff\xd8")  # whose headers are read
-SWAPPED = (5, 6, 7, 8)  # EXIF's orientations whose sides change places
 # The sides in mm of the sensors that fSpy knows by name; older projects hold the name alone
 SENSORS = {
     **dict.fromkeys(("canon_1ds", "canon_5d", "35_mm_film"), (36, 24)),
@@ -101,7 +100,10 @@ def _of_project(path, content):
 
 
 def _size(path, state, picture):
-    """(width, height) px of the project's picture, as it tells them, or as the picture in it has them."""
+    """(width, height) px of the project's picture, as it tells them, or as the picture in it is stored.
+
+    fSpy 1.0.3 shows a picture as it is stored, whatever its EXIF says (issues 44 and 57 of stuffmatic/fSpy).
+    """
     told = state.get("imageState") or state.get("image") or {}
     if told.get("width") and told.get("height"):
         return int(told["width"]), int(told["height"])
@@ -111,11 +113,11 @@ def _size(path, state, picture):
         if not picture.startswith(PICTURES):
             raise ValueError
         with picture_files.opened(io.BytesIO(picture)) as opened:
-            size, turn = opened.size, opened.getexif().get(274)
+            size = opened.size
     except Exception:  # whatever a damaged picture makes of it
         raise BadInput(f"{path}: has no cameraParameters, and its picture is not readable: {SAVE}") from None
     bounded.check_picture(path, *size, None)
-    return size[::-1] if turn in SWAPPED else size
+    return size
 
 
 def _told(told):

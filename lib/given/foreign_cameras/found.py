@@ -100,7 +100,10 @@ def of_photograph(path, found, size, turn) -> Found:
     if told != shown or (found.stored and told == stored):
         return _turned(path, found, turn)
     why = f"viewers turn the photograph (EXIF's orientation {turn})"
-    return found.saying(f"{why}, and {found.kind}'s pixels are those that they show: taken as they are")
+    return found.saying(
+        f"{why}, and {found.kind}'s pixels are those that they show: taken as they are; if {found.kind} showed it "
+        "otherwise, save the photograph without EXIF's note"
+    )
 
 
 def _factor(told, shown):
