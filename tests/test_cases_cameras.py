@@ -79,11 +79,18 @@ def written(path, size=True, **values):
         ({"xi": 1.2}, "xi: an omnidirectional lens"),
         ({"flags": 10}, "flags: say that there is no tangential distortion"),
         ({"distortion_model": "division"}, "distortion_model: division is not known"),
+        ({"distortion_model": "radial division"}, "distortion_model: radial division is not known"),
+        ({"model": "distortion.inverse_brown_conrady"}, "inverse_brown_conrady is not known"),
     ],
 )
 def test_28_other_ways_to_say_it(tmp_path, suffix, values, word):
     path = written(tmp_path / f"a.{suffix}", distortion_coefficients=[[0.05, -0.01, 0.003, -0.001]], **values)
     refused(path, word)
+
+
+def test_28_a_maker_s_name_is_no_model_of_a_lens(tmp_path):
+    path = written(tmp_path / "a.yml", camera_model="Omnivision OV5640", distortion_model="plumb_bob")
+    assert foreign_cameras.read(path, SIZE).kind == "OpenCV"
 
 
 def test_28_flags_in_a_comment(tmp_path):

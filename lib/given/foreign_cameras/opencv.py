@@ -32,7 +32,11 @@ ELSEWHERE = {
         ("rectificationmatrix", "projectionmatrix", "p", "p1", "p2", "r1", "r2", "q"), "rectification value"
     ),
 }
-FISHEYE = re.compile(r"fish|equi|kannala|\bkb[48]?\b|omni|\bmei\b|\beucm\b|\bds\b|\bfov\b|unified|scaramuzza|360", re.I)
+# Words of models of lenses, in values of keys like distortion_model; "Omnivision" makes sensors of all kinds
+FISHEYE = re.compile(
+    r"fish|equi|kannala|\bkb[48]?\b|\bomni(dir\w*|[-_]\w+)?\b|\bmei\b|\beucm\b|\bds\b|\bfov\b|unified|scaramuzza", re.I
+)
+OTHER = re.compile(r"division|inverse|ptlens|\bftheta\b", re.I)
 PLANE = re.compile(r"plumb|rational|rad|brown|pinhole|perspective|opencv|polynomial|none|^$|rectified|thin_prism", re.I)
 ZERO_TANGENT = 8  # cv2.CALIB_ZERO_TANGENT_DIST
 FRACTIONS_PX = 20.0  # a focal length below it, with a principal point below FRACTIONS_AT, is a share of the width
@@ -95,9 +99,10 @@ def check_model(path, table):
         word, where = value.strip() if isinstance(value, str) else "", f"{path}: {table.spelt(name)}"
         if "fisheye" in name and value not in (0, False, "0", "false", "False", ""):
             raise BadInput(f"{where}: a fisheye: {UNDISTORT}")
-        if ("model" in name or name.endswith("type")) and FISHEYE.search(word):
+        of_lens = "model" in name or name.endswith("type")
+        if of_lens and FISHEYE.search(word):
             raise BadInput(f"{where}: {word:.40}: a fisheye: {UNDISTORT}")
-        if "distortionmodel" in name and not PLANE.search(word):
+        if of_lens and OTHER.search(word) or "distortionmodel" in name and not PLANE.search(word):
             raise BadInput(f"{where}: {word:.40} is not known; read are plumb_bob and rational_polynomial")
     if table.get("xi") is not None:
         raise BadInput(f"{path}: xi: an omnidirectional lens (cv2.omnidir): {UNDISTORT}")
