@@ -6,14 +6,22 @@ import json
 import bpy
 
 render, camera = bpy.context.scene.render, bpy.context.scene.camera
-width, height = (round(n * render.resolution_percentage / 100) for n in (render.resolution_x, render.resolution_y))
+if camera is None:
+    raise RuntimeError("the scene has no camera: choose one in the scene's properties")
+kind = getattr(camera.data, "type", "PERSP")
+if kind != "PERSP":  # its pixels are no pinhole's
+    words = {"ORTHO": "orthographic", "PANO": "panoramic"}
+    raise RuntimeError(f"the camera is {words.get(kind, kind)}: set it to Perspective")
+if getattr(render, "use_border", False) and getattr(render, "use_crop_to_border", False):
+    raise RuntimeError("the render region is cropped, so that pictures are a part of the camera's: switch Crop off")
+width, height = (int(n * render.resolution_percentage / 100) for n in (render.resolution_x, render.resolution_y))
 ratio = render.pixel_aspect_y / render.pixel_aspect_x  # of a pixel
 fit = camera.data.sensor_fit
 across = fit == "HORIZONTAL" or fit == "AUTO" and width >= height * ratio
 side = width if across else height * ratio  # px, that the sensor spans
 sensor = camera.data.sensor_height if fit == "VERTICAL" else camera.data.sensor_width
 focal = camera.data.lens / sensor * side
-told = {"size_px": [width, height], "lens_px": [focal, focal / ratio]}
+told = {"type": kind, "size_px": [width, height], "lens_px": [focal, focal / ratio]}
 told["shift_px"] = [camera.data.shift_x * side, camera.data.shift_y * side / ratio]
 told["matrix_world"] = [list(row) for row in camera.matrix_world.normalized()]
 with open(bpy.path.abspath(f"//{bpy.context.scene.name}.camera.json"), "w") as file:

@@ -6,10 +6,12 @@
 writes  data/attic/     left.*, model.obj or .glb, scene.yaml with comments, left.posed.cameramodel or left.cameramodel:
                         whole, or not at all. Says what is missing, and what looks like another unit or axis
 
-CAMERA: mrcal, COLMAP (its folder, text or binary; IMAGE names the photograph), fSpy, Blender (docs/blender_camera.py),
-OpenCV (YAML, JSON).  PICKS: corners of the model picked in the photograph, x_px,y_px,X,Y,Z (pose.csv); X, Y, Z may be
-the model file's own numbers, or as Blender shows them.  MEGAPIXELS: that the photograph keeps
-at most (4); a larger one is made smaller, with its camera and picks.  MODEL: OBJ, GLB, glTF, PLY, STL, Mitsuba's XML.
+CAMERA: mrcal, COLMAP (its folder, text or binary), fSpy, Blender (docs/blender_camera.py), OpenCV and ROS (YAML, JSON,
+XML), nerfstudio, Kalibr, EuRoC, ORB-SLAM, VINS; others are refused by name.  IMAGE names the photograph in COLMAP's or
+nerfstudio's reconstruction, or the camera of several (left, cam0).  PICKS: corners of the model picked in the
+photograph, x_px,y_px,X,Y,Z (pose.csv); X, Y, Z may be the model file's own numbers, or as Blender shows them.
+MEGAPIXELS: that the photograph keeps at most (4); a larger one is made smaller, with its camera and picks.
+MODEL: OBJ, GLB, glTF, PLY, STL, Mitsuba's XML.
 """
 
 import argparse

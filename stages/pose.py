@@ -54,7 +54,10 @@ def main(opt):
         elif project := opt.fspy or opt.fspy_json:
             from lib.given import foreign_cameras
 
-            foreign_cameras.read(project, (width, height)).write(opt.posed)
+            found = foreign_cameras.read(project, (width, height), turn=image.orientation(opt.photograph))
+            for line in found.said:
+                report.warning(f"{project}: {line}")
+            found.write(opt.posed)
         else:
             from_picks(opt, report, photograph)
 

@@ -1,5 +1,6 @@
 """Cameras of other tools: our projection of the converted camera is the tool's own, to 1e-6 px."""
 
+import io
 import json
 import struct
 import sys
@@ -189,6 +190,135 @@ def test_fspy_without_camera_parameters_is_solved_from_its_control_points(tmp_pa
     close(found, ROOM, pixels_of_fspy(plane_of_fspy(ROOM, view, P, 1.3), *size))
 
 
+def embedded(size, turn=1, format="JPEG"):
+    """A picture as fSpy embeds it, which EXIF turns."""
+    from PIL import Image
+
+    picture, target = Image.new("RGB", size), io.BytesIO()
+    exif = picture.getexif()
+    exif[274] = turn
+    picture.save(target, format, exif=exif)
+    return target.getvalue()
+
+
+@pytest.mark.parametrize("mode", ["TwoVanishingPoints", "OneVanishingPoint"])
+@pytest.mark.parametrize(("turn", "format"), [(1, "PNG"), (1, "JPEG"), (6, "JPEG")])
+def test_fspy_as_its_projects_are(tmp_path, mode, turn, format):
+    """No imageState: the size is that of the picture in the project, as it is stored; a horizon by name."""
+    size = (640, 480)
+    state, view = control_points(size, mode)
+    del state["imageState"], state["cameraParameters"]
+    ends = state["controlPointsState1VP"]["horizon"]
+    state["controlPointsState1VP"]["horizon"] = {"0": ends[0], "1": ends[1]}
+    path = project_file(tmp_path / "x.fspy", state, embedded(size, turn, format))
+    q = pixels_of_fspy(plane_of_fspy(ROOM, view, (0, 0), 1.3), *size)
+    if turn == 6:  # viewers turn the picture to the right
+        q, size = np.stack([479 - q[:, 1], q[:, 0]], 1), (480, 640)
+    found = foreign_cameras.read(path, size, turn=turn)
+    close(found, ROOM, q)
+    assert "no cameraParameters in the project: solved from its control points" in found.said
+
+
+@pytest.mark.parametrize("mode", ["TwoVanishingPoints", "OneVanishingPoint"])
+def test_fspy_with_a_principal_point_set_by_hand(tmp_path, mode):
+    size, P = (640, 480), (0.05, -0.02)
+    state, view = control_points(size, mode, P=P)
+    for way in ("1VP", "2VP"):
+        state[f"calibrationSettings{way}"]["principalPointMode"] = "Manual"
+    state["controlPointsStateBase"]["principalPoint"] = point(np.array(P), size)
+    found = foreign_cameras.read(project_file(tmp_path / "x.fspy", state), size)
+    close(found, ROOM, pixels_of_fspy(plane_of_fspy(ROOM, view, P, 1.3), *size))
+
+
+def test_fspy_quad_mode_and_sensors_by_name(tmp_path):
+    """The four ends of two lines are the corners of a rectangle; a sensor's name stands for its sides."""
+    size = (640, 480)
+    state, view = control_points(size, "TwoVanishingPoints")
+    at = lambda *p: point(plane_of_fspy(np.array([p], float), view, np.zeros(2), 1.3)[0], size)
+    rectangle = [[at(0, 0, 0), at(3, 0, 0)], [at(0, 2, 0), at(3, 2, 0)]]
+    state["controlPointsStateBase"]["firstVanishingPoint"]["lineSegments"] = rectangle
+    state["controlPointsState2VP"]["secondVanishingPoint"]["lineSegments"] = []
+    state["calibrationSettings2VP"]["quadModeEnabled"] = True
+    found = foreign_cameras.read(project_file(tmp_path / "x.fspy", state), size)
+    close(found, ROOM, pixels_of_fspy(plane_of_fspy(ROOM, view, (0, 0), 1.3), *size))
+    state, view = control_points(size, "OneVanishingPoint")
+    state["calibrationSettingsBase"]["cameraData"] = {
+        "presetId": "nikon_d90",
+        "customSensorWidth": 1,
+        "customSensorHeight": 1,
+    }
+    state["calibrationSettings1VP"]["absoluteFocalLength"] = 1.3 * 23.6 / 2
+    found = foreign_cameras.read(project_file(tmp_path / "x.fspy", state), size)
+    close(found, ROOM, pixels_of_fspy(plane_of_fspy(ROOM, view, (0, 0), 1.3), *size))
+
+
+def test_fspy_solves_as_its_own_formulas(tmp_path):
+    """Focal length by the foot of the principal point on the line of the vanishing points (Guillou et al., 3.2), and a
+    reference distance by rays through the handles that come nearest to the axis."""
+    size = (640, 480)
+    state, _ = control_points(size, "TwoVanishingPoints")
+    random = np.random.default_rng(3)
+    base = state["controlPointsStateBase"]
+    for place in (base["origin"], base["referenceDistanceAnchor"]):
+        place["x"] += random.uniform(-0.02, 0.02)
+    for segment in base["firstVanishingPoint"]["lineSegments"]:
+        segment[0]["y"] += random.uniform(-0.01, 0.01)
+    found = foreign_cameras.read(project_file(tmp_path / "x.fspy", state), size)
+    flat = lambda p: np.array([2 * p["x"] - 1, (1 - 2 * p["y"]) / (4 / 3)])
+    sides = base["firstVanishingPoint"], state["controlPointsState2VP"]["secondVanishingPoint"]
+    U, V = (meeting(*[[flat(p) for p in line] for line in lines["lineSegments"]]) for lines in sides)
+    along = (U - V) / np.linalg.norm(U - V)
+    foot = V + along * (-V @ along)
+    f = np.sqrt(np.linalg.norm(V - foot) * np.linalg.norm(U - foot) - foot @ foot)
+    assert abs(found.intrinsics[0] / 320 - f) < 1e-9
+    seen = found.project(np.zeros((1, 3)))[0]  # the world's origin lies where its control point does
+    assert np.abs((seen + 0.5) / size - [base["origin"]["x"], base["origin"]["y"]]).max() < 1e-9
+    axis, anchor = np.array([0, 0, 1.0]), base["referenceDistanceAnchor"]
+    centre, vp = -found.T[:3, :3].T @ found.T[:3, 3], (found.T[:3, :3] @ axis)
+    vp = (found.intrinsics[:2] * vp[:2] / vp[2] + found.intrinsics[2:4] + 0.5) / size
+    xy = np.array([anchor["x"], anchor["y"]])
+
+    def ray(place):
+        x = (place * size - 0.5 - found.intrinsics[2:4]) / found.intrinsics[:2]
+        return found.T[:3, :3].T @ [*x, 1.0]
+
+    start = centre - ray(xy) * centre[2] / ray(xy)[2]
+    heights = []
+    for offset in base["referenceDistanceHandleOffsets"]:
+        d = ray(xy + offset * (vp - xy) / np.linalg.norm(vp - xy))
+        normal = np.cross(axis, d)  # the nearest points of two lines
+        heights.append(np.cross(centre - start, d) @ normal / (normal @ normal))
+    assert abs(abs(heights[0] - heights[1]) - 1.5) < 1e-6
+
+
+def meeting(a, b):
+    """Where two lines through two points each meet, by the formula of determinants."""
+    (x1, y1), (x2, y2), (x3, y3), (x4, y4) = *a, *b
+    down = (x1 - x2) * (y3 - y4) - (y1 - y2) * (x3 - x4)
+    one, two = x1 * y2 - y1 * x2, x3 * y4 - y3 * x4
+    return np.array([one * (x3 - x4) - (x1 - x2) * two, one * (y3 - y4) - (y1 - y2) * two]) / down
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s["controlPointsState1VP"].pop("horizon"), "too little to solve for them: 'horizon' is missing"),
+        (lambda s: s.pop("controlPointsStateBase"), "'controlPointsStateBase' is missing"),
+        (lambda s: s["globalSettings"].update(calibrationMode="x"), "calibrationMode: 'x' is not known"),
+        (
+            lambda s: s["calibrationSettingsBase"].update(secondVanishingPointAxis="xNegative"),
+            "choose two axes in fSpy",
+        ),
+        (lambda s: s["calibrationSettingsBase"].update(referenceDistanceUnit="Ells"), "referenceDistanceUnit: 'Ells'"),
+    ],
+)
+def test_fspy_projects_that_tell_too_little(tmp_path, change, words):
+    state, _ = control_points((640, 480), "OneVanishingPoint")
+    change(state)
+    with pytest.raises(BadInput, match=words):
+        foreign_cameras.read(project_file(tmp_path / "x.fspy", state), (640, 480))
+
+
 def test_fspy_lines_that_tell_nothing(tmp_path):
     state, _ = control_points((640, 480), "TwoVanishingPoints")
     corners = [{"x": x, "y": y} for x, y in ((0, 0), (1, 0), (0, 1), (1, 1))]
@@ -208,7 +338,9 @@ def blender(tmp_path, monkeypatch, root, size, fit, aspect):
         def normalized(self):
             return self
 
-    data = SimpleNamespace(sensor_fit=fit, sensor_width=36.0, sensor_height=24.0, lens=35.0, shift_x=0.1, shift_y=-0.07)
+    data = SimpleNamespace(
+        type="PERSP", sensor_fit=fit, sensor_width=36.0, sensor_height=24.0, lens=35.0, shift_x=0.1, shift_y=-0.07
+    )
     render = SimpleNamespace(resolution_x=2 * size[0], resolution_y=2 * size[1], resolution_percentage=50)
     render.pixel_aspect_x, render.pixel_aspect_y = aspect
     camera = SimpleNamespace(data=data, matrix_world=Matrix(map(tuple, matrix)))
@@ -248,7 +380,7 @@ def test_blender_itself(tmp_path):
 # ---- OpenCV ----
 
 
-@pytest.mark.parametrize("suffix", ["yml", "json"])
+@pytest.mark.parametrize("suffix", ["yml", "json", "xml"])
 @pytest.mark.parametrize("count", [0, 4, 5, 8, 12])
 def test_opencv(tmp_path, suffix, count):
     K = np.array([[500.0, 0, 322], [0, 510, 237], [0, 0, 1]])

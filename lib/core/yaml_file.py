@@ -130,14 +130,35 @@ for _tag in _OpenCV.allowed:
 
 
 def read_opencv(path, text, names) -> dict:
-    """Of what OpenCV's FileStorage wrote as YAML, the values of these names; a matrix is a mapping with `data`.
+    """Of what OpenCV's FileStorage wrote as YAML, or ROS, the values of these names; a matrix is a mapping with `data`.
 
-    The others may be long, points of many boards for example, and are passed over.
+    names : patterns, without regard to case. The others may be long, points of many boards for example, and are passed
+    over. Of several documents, messages of a topic for example, the first is read.
     """
-    blocks = re.split(r"^(?=[\w\"'])", text.replace("\r\n", "\n"), flags=re.M)
-    wanted = re.compile(rf"[\"']?({'|'.join(names)})[\"']? *:")
-    found = _load(path, "".join(filter(wanted.match, blocks)), _OpenCV)
+    wanted = re.compile(rf"[\"']?({'|'.join(names)})[\"']? *:", re.I)
+    found = _load(path, "".join(filter(wanted.match, _blocks(text))), _OpenCV)
     return found if isinstance(found, dict) else {}
+
+
+def names_of(text) -> list[str]:
+    """The names at the left margin of the first document.
+
+    >>> names_of("%YAML:1.0\\n---\\nM1: !!opencv-matrix\\n   rows: 3\\nD1: [0]\\n---\\nx: 1\\n")
+    ['M1', 'D1']
+    """
+    found = [re.match(r"[\"']?([\w.]+)[\"']? *:(?!\S)", block) for block in _blocks(text)]
+    return [name[1] for name in found if name]
+
+
+def _blocks(text):
+    """The first document's lines from one name at the left margin to the next."""
+    text = text.replace("\r\n", "\n")
+    first = re.search(r"^[\w\"']", text, re.M)
+    if not first:
+        return []
+    end = re.compile(r"^---[ \t]*$", re.M).search(text, first.start())
+    document = text[first.start() : end.start() if end else len(text)]
+    return re.split(r"^(?=[\w\"'])", document, flags=re.M)
 
 
 def _load(path, text, loader):

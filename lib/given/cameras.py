@@ -15,6 +15,7 @@ import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
+from lib.given import camera_names
 
 HEAD = 100_000  # bytes at the start of a file that tell what it is
 FARTHEST = 1e9  # px or m: the largest number of a camera
@@ -166,26 +167,37 @@ def _literal(path, raw):
     if not text:
         raise BadInput(f"{path}: the file is empty: not a camera model")
     try:
-        return bounded.literal_of(path, raw)
+        return bounded.literal_of(path, NUMPY_2.sub(rb"\1", raw))
     except ValueError as error:
-        wrong = _foreign(text) or error
+        wrong = _foreign(raw[:HEAD]) or error
     raise BadInput(f"{path}: not a camera model: {wrong}") from None
 
 
 CONVERTS = "make new-scene CAMERA=... converts it"
+# Numbers and words as NumPy 2 shows them: np.float64(1.5)
+NUMPY_2 = re.compile(rb"""\b(?:np|numpy)\.(?:(?:float|int|uint)\d+|str_)\(\s*([-+\w.]+|'[^'\n]*'|"[^"\n]*")\s*\)""")
 
 
-def _foreign(text):
-    """What a camera file of another program looks like; None where it is none that is known."""
+def _foreign(start):
+    """What a camera file of another program is, by its first bytes; None where it is none that is known."""
+    text = start.decode("utf-8-sig", "replace").strip()
     head, first = text[:2000], text.split(None, 1)[0]
     if re.search(r"^[0-9]+ (SIMPLE_)?(PINHOLE|RADIAL|OPENCV|FULL_OPENCV|FOV)\w*( [-+.0-9e]+){4}", head, re.M):
         return f"looks like COLMAP's cameras.txt: {CONVERTS}"
     if head.startswith("# Image list") or re.search(r"^[0-9]+( [-+.0-9e]+){7} [0-9]+ \S+\s*$", head, re.M):
         return f"looks like COLMAP's images.txt: {CONVERTS}"
-    if first.startswith("%YAML") or "opencv-matrix" in head:
-        return f"looks like OpenCV's YAML: {CONVERTS}"
     if '"cameraTransform"' in head or '"cameraParameters"' in head or head.startswith("fspy"):
         return f"looks like fSpy's JSON: {CONVERTS}"
+    if "lensmodel" not in text and (line := camera_names.of(start)):
+        return f"is {line}"
+    if first.startswith("%YAML") or "opencv-matrix" in head or "opencv_storage" in head:
+        return f"looks like OpenCV's YAML: {CONVERTS}"
+    if re.match(r"cam\d+ *:", head):
+        return f"looks like Kalibr's camchain: {CONVERTS}"
+    if re.match(r"(header|image_width|camera_matrix|distortion_model) *:", head):
+        return f"looks like ROS's camera_info: {CONVERTS}"
+    if head.startswith("{") and '"frames"' in text:
+        return f"looks like nerfstudio's transforms.json: {CONVERTS}"
     if head.startswith("{") and '":' in head:
         return f"looks like JSON, and is a file of mrcal's no more: {CONVERTS}"
     if re.fullmatch(r"[-+.,;0-9eE\s\[\]]+", text):
@@ -193,13 +205,13 @@ def _foreign(text):
     return None
 
 
-def _other_camera(content):
+def _other_camera(content, start):
     """The same of what Python can read as well."""
     if "cameraTransform" in content or "cameraParameters" in content:
         return f"looks like fSpy's JSON: {CONVERTS}"
     if "camera_matrix" in content:
         return f"looks like OpenCV's JSON: {CONVERTS}"
-    return None
+    return None if "lensmodel" in content else _foreign(start)
 
 
 def parse(path, count_of):
@@ -208,10 +220,13 @@ def parse(path, count_of):
     count_of : lens -> how many intrinsics it has, or None for any number. It raises BadInput for a lens that the caller
     does not take.
     """
-    content = _literal(path, bounded.content(path, bounded.LARGEST_TEXT))
+    raw = bounded.content(path, bounded.LARGEST_TEXT)
+    content = _literal(path, raw)
     if not isinstance(content, dict):
-        raise BadInput(f"{path}: not a camera model: a {type(content).__name__} instead of a dictionary")
-    if other := _other_camera(content):
+        known = camera_names.of(raw[:HEAD])
+        wrong = f"is {known}" if known else f"a {type(content).__name__} instead of a dictionary"
+        raise BadInput(f"{path}: not a camera model: {wrong}")
+    if other := _other_camera(content, raw[:HEAD]):
         raise BadInput(f"{path}: not a camera model: {other}")
 
     lens = content.get("lensmodel")

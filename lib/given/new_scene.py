@@ -46,13 +46,14 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
     said.append(f"model: {len(world.groups)} groups: {_listed(world.groups)}")
     said += [f"model: {line}" for line in (*world.notes, *world.warnings)]
     lamps = _lamps(world.groups, foreign_models.emitters(files))
-    found = foreign_cameras.read(camera, size, picture) if camera else None
+    found = foreign_cameras.read(camera, size, picture, image.orientation(photograph)) if camera else None
     unit = _unit(world)
     facts, hints = [], [unit.line] if unit else []
     if found:
         found = reduced.camera(found, k)
         found.write(folder / found.name)
         said.append(f"camera: of {found.kind}, {found.lens}, fx = {found.intrinsics[0]:.1f} px -> {found.name}")
+        said += [f"camera: {line}" for line in found.said]
         if found.T is not None:
             lens = lenses.Lens(found.lens, found.intrinsics, found.width, found.height, found.T, str(camera))
             if line := sight.unseen(lens, world):

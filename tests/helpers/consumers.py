@@ -163,6 +163,25 @@ def blender_cameras(folder, out):
     print(json.dumps(told))
 
 
+def blender_refusals(folder, out):
+    """What docs/blender_camera.py says of cameras that are no perspective ones, and of none: {type: words}."""
+    import bpy
+
+    told = {}
+    for kind in ("ORTHO", "PANO", "none"):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        scene, data = bpy.context.scene, bpy.data.cameras.new("camera")
+        if kind != "none":
+            scene.camera, data.type = bpy.data.objects.new("camera", data), kind
+            scene.collection.objects.link(scene.camera)
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / f"{kind}.blend"))
+        try:
+            exec((Path(__file__).parents[2] / "docs/blender_camera.py").read_text(), {})
+        except RuntimeError as error:
+            told[kind] = str(error)
+    print(json.dumps(told | {"written": sorted(path.name for path in folder.glob("*.json"))}))
+
+
 def usd_model(folder, out):
     """What lib/given/usd_models.py reads of folder/model.usda: [object, group, points, faces], who emits, lines; or why
     it does not."""

@@ -506,11 +506,12 @@ PROJECT = {
     "image": {"width": 640, "height": 480},
 }  # fmt: skip
 BLENDER = {
-    **{"lens_px": [500.0, 500.0], "shift_px": [0.0, 0.0], "size_px": [640, 480]},
+    **{"type": "PERSP", "lens_px": [500.0, 500.0], "shift_px": [0.0, 0.0], "size_px": [640, 480]},
     "matrix_world": [1, 0, 0, 1, 0, 0, -1, 2, 0, 1, 0, 1, 0, 0, 0, 1],
 }
 CAMERAS_TXT = b"# Camera list\n1 OPENCV 640 480 500 510 320 240 .1 0 0 0\n"
 IMAGES_TXT = b"# Image list\n1 1 0 0 0 1 2 3 1 left.png\n1.5 2.5 -1\n2 .5 .5 .5 .5 1 2 3 1 right.png\n\n"
+BARE_IMAGES = b"1 1 0 0 0 1 2 3 1 left.png\n2 .5 .5 .5 .5 1 2 3 1 right.png\n"
 CAMERAS_BIN = struct.pack("<Q", 1) + struct.pack("<IiQQ4d", 1, 1, 640, 480, 500, 510, 320, 240)
 IMAGES_BIN = (
     struct.pack("<Q", 1) + struct.pack("<I7dI", 1, 1, 0, 0, 0, 1, 2, 3, 1) + b"left.png\0" + struct.pack("<Q", 0)
@@ -539,6 +540,37 @@ OPENCV_XML = b"""<?xml version="1.0"?><opencv_storage><image_width>640</image_wi
 OPENCV_JSON = {
     "camera_matrix": {"rows": 3, "cols": 3, "data": [500, 0, 320, 0, 510, 240, 0, 0, 1.0]},
     "image_width": 640,
+}
+ROS_YAML = b"""header: {frame_id: cam}
+height: 480
+width: 640
+distortion_model: plumb_bob
+d: [0.1, 0.0, 0.0, 0.001, 0.0]
+k:
+- 500.0
+- 0.0
+- 320.0
+- 0.0
+- 510.0
+- 240.0
+- 0.0
+- 0.0
+- 1.0
+roi: {x_offset: 0, y_offset: 0, height: 0, width: 0}
+---
+"""
+KALIBR = b"""cam0:
+  camera_model: pinhole
+  distortion_coeffs: [0.05, -0.01, 0.001, 0.002]
+  distortion_model: radtan
+  intrinsics: [500.0, 510.0, 320, 240]
+  resolution: [640, 480]
+  T_cam_imu: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+"""
+NERF = {
+    **{"fl_x": 500.0, "fl_y": 510.0, "cx": 320, "cy": 240, "w": 640, "h": 480, "k1": 0.1, "camera_model": "OPENCV"},
+    **{"applied_transform": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], "applied_scale": 2.0},
+    "frames": [{"file_path": "a/left.png", "transform_matrix": np.eye(4).tolist()}],
 }
 POINTS = b'x_px,y_px,X,Y,Z,sigma_px,name\n1,2,0,0,0,1,a\n3,4,1,0,0,1,b\n# c\n5,6.5,0,1,0,2,"c,d"\n7,8,0,0,1e-1,1,e\n'
 LINES = b"x1_px,y1_px,x2_px,y2_px,X1,Y1,Z1,X2,Y2,Z2\n1,2,3,4,0,0,0,1,0,0\n5,6,7,8,0,0,1,1,1,1\n"
@@ -802,11 +834,15 @@ KINDS = {
     "COLMAP, cameras.txt": Kind("a/cameras.txt", CAMERAS_TXT, _camera, None, {"a/images.txt": IMAGES_TXT}),
     "COLMAP, images.txt": Kind("b/images.txt", IMAGES_TXT, _camera, None, {"b/cameras.txt": CAMERAS_TXT}),
     "COLMAP, cameras.bin": Kind("c/cameras.bin", CAMERAS_BIN, _camera, None, {"c/images.bin": IMAGES_BIN}),
+    "COLMAP, without points": Kind("e/images.txt", BARE_IMAGES, _camera, None, {"e/cameras.txt": CAMERAS_TXT}),
     "COLMAP, images.bin": Kind("d/images.bin", IMAGES_BIN, _camera, None, {"d/cameras.bin": CAMERAS_BIN}),
     "Blender": Kind("blender.json", _json(BLENDER), _camera, of_json),
     "OpenCV, YAML": Kind("opencv.yml", OPENCV_YML, _camera),
     "OpenCV, XML": Kind("opencv.xml", OPENCV_XML, _camera),
     "OpenCV, JSON": Kind("opencv.json", _json(OPENCV_JSON), _camera, of_json),
+    "ROS 2": Kind("topic.yaml", ROS_YAML, _camera),
+    "Kalibr": Kind("camchain.yaml", KALIBR, _camera),
+    "nerfstudio": Kind("transforms.json", _json(NERF), _camera, of_json),
     "pose.csv": Kind("pose.csv", POINTS, _points),
     "pose-lines.csv": Kind("pose-lines.csv", LINES, _lines),
     "corners.vnl": Kind("corners.vnl", VNL, _corners),
