@@ -17,7 +17,7 @@ from PIL import Image, ImageCms, PngImagePlugin
 
 from lib.buffers import first_look
 from lib.core.stage import BadInput
-from lib.given import colour_profiles, exr, image, jpeg_files, white_level
+from lib.given import colour_profiles, exr, image, jpeg_files, materials, white_level
 from lib.vision import boards, calibration
 from tests.helpers import profiles
 
@@ -521,7 +521,7 @@ def converted(path, name):
 def test_case_11_display_p3_is_converted():
     """The room's own values come back, but for a JPEG's rounding; they were off by 30 of 255 in the reds.
 
-    Its profile is a small one: a gamma of 2.2 for sRGB's curve, which Display P3 and these pixels have.
+    Its profile has a gamma of 2.2 where its pixels have sRGB's curve, as Display P3 itself: that costs little.
     """
     path = CASES / "11-display-p3-profile" / "IMG_p3.jpg"
     found = converted(path, "Display P3").values
@@ -530,7 +530,7 @@ def test_case_11_display_p3_is_converted():
     with Image.open(path) as picture:
         stored = np.asarray(picture).astype(float)
     before, after = (np.abs((values - ROOM)[red].mean(axis=0)).max() for values in (stored, found * 255))
-    assert after < 0.5 and before > 5, (before, after)
+    assert after < 1 and before > 5, (before, after)
 
 
 def test_a_conversion_is_that_of_littlecms():
@@ -795,3 +795,40 @@ def test_headers_are_enough(tmp_path):
         refused(write_exr(tmp_path / "c.exr", planes(LIGHT)), "samples", "photograph alone")
     finally:
         exr.MOST_SAMPLES = kept
+
+
+@pytest.mark.slow
+@pytest.mark.scene
+def test_reflectances_do_not_hang_on_the_colours_of_the_file(run, tmp_path):
+    """The room in sRGB, Display P3 and Adobe RGB, from new-scene to materials.json.
+
+    16 bits: .02 and .5 sigma apart at most. The case's JPEG was 20 sigma off; now it is as far off as a JPEG in sRGB
+    is (1.5 and 1.7 sigma): what JPEG's rounding does.
+    """
+    shown = lambda space: np.rint(profiles.other(ROOM / 255, space) * 65535).astype(np.uint16)
+    profiles.png16(tmp_path / "p3.png", shown("Display P3"), [profiles.iccp(profiles.icc("Display P3"))])
+    tifffile.imwrite(
+        tmp_path / "adobe.tif", shown("Adobe RGB"), photometric="rgb", iccprofile=profiles.icc("Adobe RGB")
+    )
+    base, found = CASES / "base", {}
+    for name, photo in {
+        "srgb": base / "room.png",
+        "p3": tmp_path / "p3.png",
+        "adobe": tmp_path / "adobe.tif",
+        "case": CASES / "11-display-p3-profile" / "IMG_p3.jpg",
+    }.items():
+        place = [f"DATA={tmp_path / 'data'}", f"BUILD={tmp_path / 'build'}"]
+        files = [f"MODEL={base / 'room.obj'}", f"PHOTO={photo}", f"CAMERA={base / 'room.cameramodel'}"]
+        assert run("make", "-s", *place, "new-scene", f"NAME={name}", *files).returncode == 0
+        with open(tmp_path / "data" / name / "scene.yaml", "a") as file:
+            file.write("goals: [materials.json]\n")
+        done = run("make", "-s", *place, name, timeout=1200)
+        assert done.returncode == 0, done.stderr
+        found[name] = materials.read(tmp_path / "build" / name / "materials.json").groups
+    for name, most in {"p3": 1.0, "adobe": 1.0, "case": 2.0}.items():
+        for group, value in found[name].items():
+            told = found["srgb"][group]
+            if told.rho_d is None:
+                continue
+            sigma = np.maximum(value.sigma.rho_d, told.sigma.rho_d)
+            assert (np.abs(np.subtract(value.rho_d, told.rho_d)) <= most * sigma).all(), (name, group)

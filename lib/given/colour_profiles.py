@@ -5,8 +5,10 @@
 
 Display P3, Adobe RGB or ProPhoto is brought to sRGB's primaries: stored values are made linear by the file's own
 curve, mixed by a matrix, and shown by the same curve again. So a grey keeps its value to the last bit, and the
-photograph stays display-referred: its response is the file's curve, which `transfer: auto` then finds.  Own code, for
-LittleCMS, as Pillow offers it, has 8 bits for a sample, and is not made for files of strangers.
+photograph stays display-referred, and `transfer: auto` finds its response. A response that is not the file's curve
+costs little: pixels of sRGB's curve, mixed by a gamma of 2.2, are off by 0.06 % of their light (median; 0.3 % at most
+in 99 of 100).  Own code, for LittleCMS, as Pillow offers it, has 8 bits for a sample, and is not made for files of
+strangers.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.given.formats import Format
-from lib.given.transfer import linear_from_srgb, srgb_from_linear
+from lib.given.transfer import linear_from_srgb
 
 FORMAT = Format(
     "colours of a photograph",
@@ -35,7 +37,6 @@ NAMED = 60  # characters of a name
 SAME = 0.004  # entries of a matrix that differ by less from the identity are sRGB's own, rounded
 WHITE_OFF = 0.03  # of a row's sum from 1: white of the profile is not white
 MANY = 0.02  # share of pixels that lie outside of sRGB, from which on that is a doubt
-NEAR_P3, NEAR_SRGB = 0.01, 0.04  # entries of a matrix; display: a gamma of 2.2 is .034 from sRGB's curve, at most
 BARELY = 1 / 255 / 12.92  # linear value beyond [0, 1] that rounding to 8 bits may make
 
 D65, D50_XYZ = (0.3127, 0.3290), np.array([0.9642, 1.0, 0.8249])
@@ -180,15 +181,7 @@ def of_icc(data) -> Space:
         curves = tuple(_curve(tags[c + b"TRC"]) for c in (b"r", b"g", b"b"))
     except struct.error:
         raise ValueError("is damaged") from None
-    found = _space(_text(tags.get(b"desc", b"")) or "a profile without a name", xyz, curves)
-    return found._replace(curves=(SRGB_CURVE,)) if _is_simplified_p3(found) else found
-
-
-def _is_simplified_p3(space):
-    """Display P3 has sRGB's curve. Its pixels have it too where a small profile writes a gamma of 2.2 in its place."""
-    near = lambda known: np.abs(space.matrix - FROM_XYZ @ _xyz(PRIMARIES[known])).max() < NEAR_P3
-    off = np.abs(srgb_from_linear(space.curves[0]) - GRID).max()
-    return len(space.curves) == 1 and off < NEAR_SRGB and near("Display P3")
+    return _space(_text(tags.get(b"desc", b"")) or "a profile without a name", xyz, curves)
 
 
 def _tags(data):

@@ -85,7 +85,7 @@ def photograph(path) -> Light:
         layer = names[0].rpartition(".")[0]
         alpha = part.channels.get(f"{layer}.A" if layer else "A")
         seen = 0.0 if alpha is None else float((np.array(alpha.pixels, float) < 1 - 1e-3).mean())
-        header = dict(part.header)
+        header = dict(file.parts[0].header) | dict(part.header)  # colours are those of all parts
     doubts = (f"alpha: {seen:.1%} of the pixels are transparent: they are read over black",) if seen else ()
     values, notes = _displayed(path, values, choice)
     values, more, less = _in_srgb(path, values, header)

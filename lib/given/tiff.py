@@ -37,16 +37,18 @@ FORMAT = Format(
     ),
     left_out=("further pages, thumbnails, masks, layers",),
 )
-KINDS = {1: "B", 2: "s", 3: "H", 4: "I", 5: "2I", 6: "b", 7: "s", 8: "h", 9: "i", 10: "2i", 11: "f", 12: "d"}
+KINDS = {1: "B", 2: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d"}
 KINDS |= {13: "I", 16: "Q", 17: "q", 18: "Q"}
 SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
+WHOLE, RATIOS = (1, 3, 4, 6, 8, 9, 13, 16, 17, 18), (5,)  # kinds of numbers
+AS_BYTES, AS_RATIOS = ("icc", "jpeg_tables"), ("white_point", "primaries")  # tags; all others are whole numbers
 MOST_PAGES, MOST_BYTES = 200, 32 << 20  # directories that are looked at; of one tag
 TAGS = {
     **{254: "subfile", 256: "width", 257: "height", 258: "bits", 259: "compression", 262: "photometric"},
     **{266: "fill", 273: "strips", 274: "turn", 277: "samples", 278: "rows", 279: "strip_bytes", 281: "white"},
     **{284: "planar", 301: "transfer", 317: "predictor", 318: "white_point", 319: "primaries", 320: "palette"},
     **{322: "tile_width", 323: "tile_height", 324: "tiles", 325: "tile_bytes", 330: "sub", 338: "extra"},
-    **{339: "sample_format", 347: "jpeg_tables", 530: "subsampling", 531: "positioning", 532: "reference"},
+    **{339: "sample_format", 347: "jpeg_tables", 530: "subsampling", 531: "positioning"},
     **{34665: "exif", 34675: "icc", 50706: "dng"},
 }
 COMPRESSIONS = {1: "none", 5: "LZW", 7: "JPEG", 8: "Deflate", 32946: "Deflate", 32773: "PackBits"}
@@ -133,9 +135,11 @@ def _directory(path, content, at, order, big):
         if value + size > len(content):
             raise BadInput(f"{path}: truncated: its tag {tag} ends at byte {value + size}, {len(content)} are there")
         data = content[value : value + size]
-        letter = KINDS[kind]
-        wide = len(letter) == 2
-        tags[TAGS[tag]] = data if letter == "s" else struct.unpack(f"{order}{number * (1 + wide)}{letter[-1]}", data)
+        name, letter = TAGS[tag], KINDS[kind]
+        if name in AS_BYTES and SIZES[kind] == 1:
+            tags[name] = data
+        elif name not in AS_BYTES and (kind in RATIOS) == (name in AS_RATIOS) and kind in (*WHOLE, *RATIOS):
+            tags[name] = struct.unpack(f"{order}{number * len(letter)}{letter[-1]}", data)
     (following,) = struct.unpack_from(order + ("Q" if big else "I"), content, at + count * step)
     return Page(tags), following
 
