@@ -176,6 +176,7 @@ def test_pages_of_a_tiff(tmp_path):
         file.write(small, photometric="rgb", subfiletype=1)
         file.write(NOISE8, photometric="rgb")
     same(read(path, notes=1), NOISE8)
+    assert image.announced(path) == (41, 33)
     Image.fromarray(NOISE8).save(path, save_all=True, append_images=[Image.fromarray(255 - NOISE8)])
     found = read(path, doubts=1)
     same(found, NOISE8)

@@ -295,6 +295,9 @@ def announced(path) -> tuple[int, int]:
     """(width, height) px of a photograph by its header; nothing else is read.  BadInput: none that can be read."""
     if os.fspath(path).endswith(".exr"):
         return exr.size(path)
+    content = bounded.content(path) if os.fspath(path).endswith(".tif") else b""
+    if size := picture_files.format_of(content) == "TIFF" and tiff.size_of(content):
+        return size
     try:
         with picture_files.opened(path) as picture:
             return picture.size

@@ -145,9 +145,9 @@ def _directory(path, content, at, order, big):
 
 
 def size_of(content):
-    """(width, height) of the first directory, None where there is none that can be read."""
+    """(width, height) px of the page that is read, None where there is none that can be."""
     try:
-        return pages("", content)[1][0].size
+        return _photograph_of("", pages("", content)[1])[0].size
     except BadInput:
         return None
 
