@@ -83,6 +83,8 @@ def main(opt):
                     f"{path}: JPEG's steps add {100 * photograph.ringing:.1f} % of white at edges, sigmas hold up to "
                     f"{100 * facets.COARSE:.0f} % (quality 93): facets may be further off than they say"
                 )
+            for line in photograph.doubts:
+                report.warning(f"{path}: {line}")
             if photograph.lost_tables:
                 report.warning(f"{path}: {jpeg.NO_TABLES}")
         report["facets"], report["refused"] = len(found), outlines.reasons(refused)

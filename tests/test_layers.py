@@ -46,6 +46,7 @@ HEAVY = {
     "markupsafe": "Jinja2's",
     "mitsuba": "in an environment of its own",
     "drjit": "Mitsuba's",
+    "tifffile": "0.1 s, only for TIFFs that OpenCV does not decode",
     "pxr": "USD's, installed by who needs it",
 }
 # Other imports inside functions that stay, and why.

@@ -45,7 +45,7 @@ def findings(model, camera, photograph, facet, lamps=(), up="z", turned=1) -> li
         *_sight(model, facet, lamps),
         *_lamps(model, lamps),
         *_openings(model, camera),
-        *_photograph(photograph, turned, _lamp_pixels(model, facet, lamps)),
+        *of_photograph(photograph, turned, _lamp_pixels(model, facet, lamps)),
         cost(photograph.values.shape),
     ]
 
@@ -188,7 +188,7 @@ def _lamp_pixels(model, facet, lamps):
     return (facet >= 0) & of[facet]
 
 
-def _photograph(photograph, turned, lamp):
+def of_photograph(photograph, turned, lamp):
     values = photograph.display
     height, width, channels = values.shape
     brightest = values.max(axis=2)
@@ -199,6 +199,8 @@ def _photograph(photograph, turned, lamp):
     text = f"{size}, uses {low:.2f} to {high:.2f} of its range"
     dark = high - low < FLAT
     yield Finding("photograph", text + (": expose longer, or light the room more evenly" if dark else ""), dark)
+    yield from (Finding("photograph", line) for line in photograph.notes)
+    yield from (Finding("photograph", line, True) for line in photograph.doubts)
     if photograph.lost_tables:
         yield Finding("photograph", jpeg.NO_TABLES, True)
     if clipped > CLIPPED:

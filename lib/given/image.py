@@ -3,7 +3,6 @@
 Arrays are indexed [y, x] or [y, x, channel], channels in the order R, G, B.
 """
 
-import errno
 import os
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +12,8 @@ import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
-from lib.given import jpeg, picture_files, strangers_files
+from lib.given import colour_profiles, exr, jpeg, picture_files, strangers_files, tiff, white_level
+from lib.given.described import UNTURNED
 from lib.given.transfer import display_of_linear
 
 MAY_CLIP = 0.25  # share of a noisy surface's pixels that may be clipped: its median is not
@@ -22,11 +22,9 @@ SKEWED, OUTLIER = 0.1, 4.0  # mean cube of second differences in sigmas; held do
 ENOUGH = 300_000  # pixels that tell of the noise
 _OF_SECOND = 6.0
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF"}  # as Pillow names them
-MOST_CHANNELS = 8  # of an EXR
+RANGE_KEY = "anasyn range"  # of a text in a PNG of our own: 65535 is white
 JPEG_KEY = "anasyn jpeg"  # of a text in a PNG: the JPEG that it was made of
-OTHER_COLOURS = ("CMYK", "LAB", "YCbCr", "HSV")  # modes of Pillow that are no R, G, B. A JPEG's YCbCr comes as RGB
-
-
+read_exr, write_exr = exr.read, exr.write  # pictures of light and depth that are no photographs
 BLACK = 2 / 255 + 1e-9  # display
 
 
@@ -38,6 +36,7 @@ class Photograph:
     bits : 8, 16, or 0 for EXR          linear : True for EXR
     channels_in_file : 1 or 3.  Three equal channels become C = 1; alpha is dropped
     blocks : of a JPEG, or of one that this was made of, else None
+    notes : what was left out or converted, no doubt;  doubts : to look at
     """
 
     values: np.ndarray
@@ -45,6 +44,8 @@ class Photograph:
     linear: bool
     channels_in_file: int
     blocks: jpeg.Blocks | None = None
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def display(self) -> np.ndarray:
@@ -99,51 +100,75 @@ def _second_differences(values, step):
 
 
 def format_problem(path) -> str | None:
-    """What the file's header says against it as a photograph: another format than its name, colours that are no RGB."""
+    """What the file's first bytes say against it as a photograph: another format than its name."""
     path = Path(path)
     if path.suffix == ".exr":
         return None
     try:
-        with picture_files.opened(path) as picture:
-            format, mode = picture.format, picture.mode
+        with open(path, "rb") as file:
+            format = picture_files.format_of(file.read(16))
+        if format is None:
+            with picture_files.opened(path) as picture:
+                format = picture.format
     except Exception:  # decoding says what is wrong
         return None
     wanted = FORMATS.get(path.suffix)
-    if format in FORMATS.values() and wanted and format != wanted:
+    if not wanted or format == wanted:
+        return None
+    if format in FORMATS.values():
         suffix = next(suffix for suffix, name in FORMATS.items() if name == format)
         return f"{path}: format: {format}: rename it to {path.stem}{suffix}"
-    if wanted and format != wanted and format != "MPO":
-        return f"{path}: format: {format} under the name of {wanted}: convert it to PNG"
-    if mode in OTHER_COLOURS:
-        return f"{path}: colours: {mode}: convert the photograph to RGB (sRGB)"
-    return None
+    return f"{path}: format: {format} under the name of {wanted}: convert it to PNG"
 
 
-def read_photograph(path) -> Photograph:
+def read_photograph(path, as_stored=False) -> Photograph:
     """Read an 8- or 16-bit PNG, JPEG or TIFF, or an EXR. Truncated or damaged files are refused.
 
-    The orientation that a file's EXIF notes is honoured, as viewers do: [0, 0] is the upper left corner of what they
-    show, and the camera's pixels are those.
+    The orientation that a file's EXIF (or a TIFF's tag) notes is honoured, as viewers do: [0, 0] is the upper left
+    corner of what they show, and the camera's pixels are those.  as_stored : not, the sensor's own pixels are wanted.
+    Colours of another space (Display P3, Adobe RGB) are brought to sRGB's primaries, with the file's own curve.
     """
-    path, turn = os.fspath(path), 1
+    path = os.fspath(path)
     if path.lower().endswith(".exr"):
-        values, bits = _linear_values(path), 0
-    else:
-        turn = orientation(path)
-        stored = _turned(_display_values(path), turn)
-        # OpenCV's BGR
-        values, bits = stored[..., ::-1] / float(np.iinfo(stored.dtype).max), 8 * stored.dtype.itemsize
+        return _of_light(path)
+    content = _content(path)
+    described, stored = _decode(path, content)
+    turn = UNTURNED if as_stored else described.turn
+    if described.clear is not None and (stored == described.clear).any():
+        raise BadInput(f"{path}: alpha: the photograph is transparent in places: save it without alpha, flattened")
+    stored = _turned(_without_alpha(path, stored), turn)
+    own = described.format == "PNG" and picture_files.text_of_png(content, RANGE_KEY)
+    white = white_level.White(np.iinfo(stored.dtype).max) if own else white_level.of(stored, described.white)
+    values = stored[..., ::-1] / float(white.level)  # OpenCV's BGR
+    in_file, notes, doubts = values.shape[2], described.notes, (*described.doubts, *white.doubts)
+    if in_file == 3 and (values[..., :1] == values).all():
+        values = values[..., :1]
+    if described.space is not None and values.shape[2] == 3:
+        values, outside = colour_profiles.in_srgb(described.space, values)
+        noted, doubted = colour_profiles.said(described.space, outside, values[..., 0].size)
+        notes, doubts = (*noted, *notes), (*doubted, *doubts)
+    blocks = None
+    if described.format == "JPEG":
+        blocks = jpeg.blocks(content)
+        if blocks is not None:
+            blocks = blocks._replace(first=_first_block(values.shape, blocks.px, turn))
+    elif described.format == "PNG":
+        blocks = jpeg.of_text(picture_files.text_of_png(content, JPEG_KEY))
+    bits = 8 * stored.dtype.itemsize
+    return Photograph(np.ascontiguousarray(values), bits, False, in_file, blocks, notes, doubts)
+
+
+def _of_light(path):
+    """Of an EXR. BadInput: a pixel that is not finite"""
+    light = exr.photograph(path)
+    values = light.values if light.values.ndim == 3 else light.values[..., None]
+    if not np.isfinite(values).all():
+        y, x, channel = np.argwhere(~np.isfinite(values))[0]
+        raise BadInput(f"{path}: pixel ({x}, {y}): channel {channel} = {values[y, x, channel]} is not finite")
     in_file = values.shape[2]
     if in_file == 3 and (values[..., :1] == values).all():
         values = values[..., :1]
-    blocks = None
-    if path.lower().endswith((".jpg", ".jpeg")):
-        blocks = jpeg.blocks(bounded.content(path))
-        if blocks is not None:
-            blocks = blocks._replace(first=_first_block(values.shape, blocks.px, turn))
-    elif path.lower().endswith(".png"):
-        blocks = jpeg.of_text(picture_files.text_of_png(bounded.content(path), JPEG_KEY))
-    return Photograph(np.ascontiguousarray(values), bits, bits == 0, in_file, blocks)
+    return Photograph(np.ascontiguousarray(values), 0, True, in_file, None, light.notes, light.doubts)
 
 
 def write_photograph(path, photograph):
@@ -152,10 +177,13 @@ def write_photograph(path, photograph):
     if photograph.linear:
         write_exr(path, np.maximum(values, 0))
         return
-    write_png16(path, np.rint(np.clip(values, 0, 1) * 65535).astype(np.uint16))
-    if photograph.blocks:
-        content = Path(path).read_bytes()
-        Path(path).write_bytes(picture_files.with_text(content, JPEG_KEY, photograph.blocks.text))
+    stored = np.rint(np.clip(values, 0, 1) * 65535).astype(np.uint16)
+    write_png16(path, stored)
+    texts = {JPEG_KEY: photograph.blocks.text} if photograph.blocks else {}
+    if white_level.of(stored).doubts:  # what is dark here is known to be
+        texts[RANGE_KEY] = "full"
+    for key, text in texts.items():
+        Path(path).write_bytes(picture_files.with_text(Path(path).read_bytes(), key, text))
 
 
 # EXIF's orientations: axes swapped, then rows, then columns reversed
@@ -172,13 +200,12 @@ TURNS = {
 
 
 def orientation(path) -> int:
-    """1 to 8, as EXIF has it; 1 where a file tells nothing sensible."""
+    """1 to 8, as EXIF or a TIFF's tag has it; 1 where a file tells nothing sensible, and of an EXR."""
     try:
-        with picture_files.opened(path) as picture:
-            turn = picture.getexif().get(274)
-    except Exception:  # whatever is wrong with the file or its EXIF: decoding says what matters
-        return 1
-    return turn if turn in TURNS else 1
+        found = picture_files.describe(os.fspath(path), bounded.content(path))
+    except BadInput:  # decoding says what is wrong
+        return UNTURNED
+    return found[0].turn if found else UNTURNED
 
 
 def _turned(values, turn):
@@ -194,27 +221,15 @@ def _first_block(shape, px, turn):
     return shape[0] % px if rows else 0, shape[1] % px if columns else 0
 
 
-def _linear_values(path):
-    """(H, W, C) of an EXR, all finite."""
-    values = read_exr(path)
-    if values.ndim == 2:
-        values = values[..., None]
-    if not np.isfinite(values).all():
-        y, x, channel = np.argwhere(~np.isfinite(values))[0]
-        raise BadInput(f"{path}: pixel ({x}, {y}): channel {channel} = {values[y, x, channel]} is not finite")
-    return values
-
-
-def _display_values(path):
+def _without_alpha(path, stored):
     """(H, W, 1 or 3) uint8 or uint16 as stored, without alpha."""
-    stored = _decode(path)
     if stored.dtype not in (np.uint8, np.uint16):
         raise BadInput(f"{path}: samples: {stored.dtype} instead of 8 or 16 bits")
     if stored.ndim == 2:
         stored = stored[..., None]
     if stored.shape[2] in (2, 4):
         if (stored[..., -1] != np.iinfo(stored.dtype).max).any():
-            raise BadInput(f"{path}: alpha: the photograph is transparent in places")
+            raise BadInput(f"{path}: alpha: the photograph is transparent in places: save it without alpha, flattened")
         stored = stored[..., :-1]
     if stored.shape[2] not in (1, 3):
         raise BadInput(f"{path}: channels: {stored.shape[2]} instead of 1 or 3")
@@ -223,7 +238,10 @@ def _display_values(path):
 
 def read_labels(path) -> np.ndarray:
     """(H, W) int32 of an 8- or 16-bit PNG or a 32-bit TIFF; 0 is nothing."""
-    stored = _decode(os.fspath(path), of_labels=True)
+    path = os.fspath(path)
+    content = _content(path)
+    size = picture_files.check_labels(path, content)
+    stored = _whole(path, content, size, *_of_opencv(content) if size else (None, ()))
     if stored.ndim != 2 or stored.dtype.kind not in "iu":
         raise BadInput(f"{path}: labels: one channel of integers is needed, got {stored.shape} {stored.dtype}")
     return stored.astype(np.int32)
@@ -273,82 +291,18 @@ def _encode(path, name, extension, values):
         file.write(code.tobytes())
 
 
-def read_exr(path) -> np.ndarray:
-    """(H, W) float64 for one channel (Y or Z), (H, W, 3) for R, G, B; an A beside them is dropped."""
-    import OpenEXR
-
-    path = os.fspath(path)
-    content, said = _content(path), []
-    try:
-        with picture_files.heard() as said:
-            window = _check_exr(path, len(content))
-            with OpenEXR.File(path, separate_channels=True) as file:
-                pixels = {name: np.array(channel.pixels, float) for name, channel in file.channels().items()}
-    except BadInput:
-        raise
-    except Exception as error:  # the package raises plain RuntimeError, TypeError, ...
-        if not said:
-            why = " ".join(str(error).split()) or type(error).__name__
-            raise BadInput(f"{path}: not a readable EXR: {why}") from None
-    if said:
-        raise BadInput(f"{path}: damaged: {said[0].removeprefix(f'{path}: ')}")
-    if window[0] != window[1]:
-        raise BadInput(f"{path}: dataWindow: {window[0]} is not the whole picture {window[1]}")
-    names = set(pixels) - {"A"}
-    if names == {"R", "G", "B"} and len({pixels[name].shape for name in names}) == 1:
-        return np.stack([pixels[name] for name in "RGB"], axis=-1)
-    if len(names) == 1 and names <= {"Y", "Z"}:
-        return pixels[names.pop()]
-    raise BadInput(f"{path}: channels: {', '.join(sorted(pixels))} instead of R, G, B or Y or Z")
-
-
 def announced(path) -> tuple[int, int]:
     """(width, height) px of a photograph by its header; nothing else is read.  BadInput: none that can be read."""
     if os.fspath(path).endswith(".exr"):
-        try:
-            x0, y0, x1, y1 = _check_exr(os.fspath(path), os.path.getsize(path))[0]
-        except BadInput:
-            raise
-        except Exception as error:  # the package raises plain RuntimeError, TypeError, ...
-            raise BadInput(f"{path}: not a readable EXR: {' '.join(str(error).split())}") from None
-        return x1 - x0 + 1, y1 - y0 + 1
+        return exr.size(path)
+    content = bounded.content(path) if os.fspath(path).endswith(".tif") else b""
+    if size := picture_files.format_of(content) == "TIFF" and tiff.size_of(content):
+        return size
     try:
         with picture_files.opened(path) as picture:
             return picture.size
     except Exception as error:  # whatever a damaged header makes of it
         raise BadInput(f"{path}: not a readable image: {' '.join(str(error).split())}") from None
-
-
-def _check_exr(path, size):
-    """The data window and the display window, (x0, y0, x1, y1) px each. BadInput: too large, or other channels."""
-    import OpenEXR
-
-    with OpenEXR.File(path, header_only=True) as file:
-        header = file.header()
-        windows = [tuple(int(v) for v in np.ravel(header[name])) for name in ("dataWindow", "displayWindow")]
-        count = len(header["channels"])
-    x0, y0, x1, y1 = windows[0]
-    bounded.check_picture(path, x1 - x0 + 1, y1 - y0 + 1, size)
-    if count > MOST_CHANNELS:
-        raise BadInput(f"{path}: channels: {count} instead of R, G, B or Y or Z")
-    return windows
-
-
-def write_exr(path, values, name="Y"):
-    """(H, W, 3) as R, G, B, or (H, W) as the one channel `name`; 32-bit floats, lossless."""
-    import OpenEXR
-
-    values = np.asarray(values)
-    if values.ndim == 3 and values.shape[2] == 1:
-        values = values[..., 0]
-    planes = {name: values} if values.ndim == 2 else {c: values[..., i] for i, c in enumerate("RGB")}
-    channels = {c: np.ascontiguousarray(plane, np.float32) for c, plane in planes.items()}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    try:
-        with OpenEXR.File(header, channels) as file:
-            file.write(os.fspath(path))
-    except RuntimeError as error:  # a full disk
-        raise OSError(errno.EIO, " ".join(str(error).rpartition('". ')[2].split()).rstrip(".")) from None
 
 
 def _content(path):
@@ -359,11 +313,21 @@ def _content(path):
     return content
 
 
-def _decode(path, of_labels=False):
-    """What OpenCV reads of a PNG, a JPEG or a TIFF; BadInput where it reads nothing, or the file is damaged."""
-    content = _content(path)
-    size = picture_files.check(path, content, of_labels)
-    image, said = _of_opencv(content) if size else (None, [])
+def _decode(path, content):
+    """(Described, pixels as stored, channels in OpenCV's order); BadInput where nothing is read, or damaged."""
+    found = picture_files.describe(path, content)
+    if found is None:
+        return _whole(path, content, None, None, ())
+    described, of_tiff = found
+    if of_tiff:
+        image, said = tiff.pixels(path, content, of_tiff, _of_opencv), ()
+    else:
+        image, said = _of_opencv(content[: described.end])
+    return described, _whole(path, content, described.size, image, said)
+
+
+def _whole(path, content, size, image, said):
+    """The pixels; BadInput where there are none, the decoder spoke of damage, or they are not as announced."""
     if said:
         raise BadInput(f"{path}: damaged: {said[0]}")
     if image is None or image.size == 0:
@@ -372,7 +336,7 @@ def _decode(path, of_labels=False):
         if kind == "a pointer of Git LFS":
             raise BadInput(f"{path}: {what}git lfs pull fetches the picture")
         raise BadInput(f"{path}: {what}not a readable image ({len(content)} bytes)")
-    if image.shape[1::-1] != size:
+    if image.shape[1::-1] != tuple(size):
         shown = f"{image.shape[1]} x {image.shape[0]}"
         raise BadInput(f"{path}: damaged: {shown} px are there, {size[0]} x {size[1]} are announced")
     return image

@@ -36,8 +36,8 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
     if suffix is None:
         raise BadInput(f"PHOTO: {photograph}: is none of {', '.join(SUFFIX)}: convert it to PNG, or RAW to 16-bit TIFF")
     said = []
-    size, k, line = _photograph(folder / f"left{suffix}", photograph, megapixels or reduced.MEGAPIXELS)
-    said.append(line)
+    size, k, lines = _photograph(folder / f"left{suffix}", photograph, megapixels or reduced.MEGAPIXELS)
+    said += lines
     files, lines = foreign_models.convert(model)
     for name, content in files.items():
         (folder / name).write_bytes(content)
@@ -72,7 +72,11 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
 
 
 def _photograph(path, photograph, megapixels):
-    """((width, height) of the photograph, how many times smaller the copy is, a line to say)."""
+    """((width, height) of the photograph, how many times smaller the copy is, lines to say).
+
+    The copy is the file as it is: each stage converts its colours when it reads them, so a file that was put into a
+    scene's folder by hand is read alike, and no 16-bit copy takes the place of a JPEG and of its tables.
+    """
     try:
         path.write_bytes(bounded.content(photograph))
     except BadInput as bad:
@@ -88,7 +92,8 @@ def _photograph(path, photograph, megapixels):
     if k > 1:
         path, said = _smaller(path, content, k), f"{said}, means of {k} x {k} pixels"
         said += f" for memory and time (MEGAPIXELS={math.ceil(width * height / 1e6)} keeps all)"
-    return (width, height), k, f"{said} -> {path.name}"
+    lines = [f"photograph: {line}" for line in (*content.notes, *content.doubts)]
+    return (width, height), k, [f"{said} -> {path.name}", *lines]
 
 
 def _smaller(path, content, k):

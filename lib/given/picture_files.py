@@ -13,28 +13,65 @@ import tempfile
 import threading
 import warnings
 import zlib
+from dataclasses import replace
+
+import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
+from lib.given import colour_profiles, jpeg_files, tiff
+from lib.given.described import Described, colours_of, exif_of
+from lib.given.formats import Format, LeftOut
 
-MARKS = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}  # first bytes
+FORMAT = Format(
+    "PNG",
+    read=(
+        "1 to 16 bits, grey, R, G, B or a palette, interlaced or not; alpha that is opaque; orientation in eXIf",
+        "cICP, iCCP, sRGB, gAMA with cHRM, in this order",
+    ),
+    refused=(("transparent pixels", "flatten it"), ("HDR (PQ, HLG in cICP)", "save the SDR picture, or an EXR")),
+    left_out=("further pictures of an animation",),
+)
+MARKS = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8": "JPEG"}  # first bytes
+MARKS |= {b"II*\0": "TIFF", b"MM\0*": "TIFF", b"II+\0": "TIFF", b"MM\0+": "TIFF"}
 DAMAGE = re.compile(
     r"^(Corrupt|Premature end of|Invalid .*) JPEG|^Inconsistent prog|Exception raised reading pixel|EXR_ERR_|Decode: "
 )
 
 
-def check(path, content, of_labels=False):
-    """(width, height) px of a PNG, a JPEG or a TIFF, None where it is none of them, or not readable.
+def format_of(content) -> str | None:
+    """PNG, JPEG or TIFF by the first bytes; None of anything else."""
+    return next((format for mark, format in MARKS.items() if content.startswith(mark)), None)
 
-    of_labels : a picture of whole numbers, which may be as even as can be
-    BadInput: too large, truncated or damaged, as far as can be told. A JPEG and most TIFFs have no checksum.
+
+def describe(path, content) -> tuple[Described, tiff.Tiff | None] | None:
+    """What a PNG, a JPEG or a TIFF says of itself; None where it is none of them.
+
+    BadInput: too large, truncated, damaged, or with what is on no short list. A JPEG and most TIFFs have no checksum.
     """
-    format = next((format for mark, format in MARKS.items() if content.startswith(mark)), None)
+    format = format_of(content)
     if format == "PNG":
-        _check_png(path, content, of_labels)
-    elif format == "JPEG" and b"\xff\xd9" not in content[-1024:]:
-        raise BadInput(f"{path}: truncated: {len(content)} bytes without the end of a JPEG")
-    return _announced(path, content, format, of_labels) if format else None
+        return _png_described(path, *_check_png(path, content)), None
+    if format == "JPEG":
+        found = jpeg_files.described(path, content)
+        bounded.check_picture(path, *found.size, len(content))
+        return found, None
+    if format == "TIFF":
+        found = tiff.described(path, content, lambda *size: bounded.check_picture(path, *size, len(content)))
+        _check_packed(path, content, found.page.tags)
+        return found.described, found
+    return None
+
+
+def check_labels(path, content):
+    """(width, height) px of a PNG or TIFF of whole numbers, which may be as even as can be; None where it is neither.
+
+    BadInput: too large, truncated or damaged, as far as can be told
+    """
+    format = format_of(content)
+    if format == "PNG":
+        _check_png(path, content, of_labels=True)
+    return _announced(path, content, format) if format in ("PNG", "TIFF") else None
 
 
 @contextlib.contextmanager
@@ -74,8 +111,8 @@ def heard():
             found += [" ".join(line.split()) for line in lines if DAMAGE.search(line)]
 
 
-def _announced(path, content, format, of_labels):
-    """(width, height) px by the header, None where it cannot be read; BadInput where they are too many.
+def _announced(path, content, format):
+    """(width, height) px of labels by the header, None where it cannot be read; BadInput where they are too many.
 
     A TIFF is decoded as well, where Pillow can: its decoder in OpenCV is silent about damage.
     """
@@ -84,14 +121,14 @@ def _announced(path, content, format, of_labels):
     try:
         with heard(), opened(io.BytesIO(content)) as picture:
             size = picture.size
-            bounded.check_picture(path, *size, None if of_labels else len(content))
+            bounded.check_picture(path, *size, None)
             if format == "TIFF":
-                _check_strips(path, content, picture.tag_v2)
+                _check_deflate(path, content, {TIFF_NAMES[n]: v for n, v in picture.tag_v2.items() if n in TIFF_NAMES})
                 picture.load()
     except UnidentifiedImageError:
-        size = _tiff_size(content) if format == "TIFF" else None
+        size = tiff.size_of(content) if format == "TIFF" else None
         if size:
-            bounded.check_picture(path, *size, None if of_labels else len(content))
+            bounded.check_picture(path, *size, None)
     except OSError as error:
         raise BadInput(f"{path}: damaged: {' '.join(str(error).split()):.80}") from None
     except BadInput:
@@ -101,32 +138,38 @@ def _announced(path, content, format, of_labels):
     return size
 
 
-def _check_strips(path, content, tags):
+def _check_packed(path, content, tags):
+    """What unpacking tells of damage to a TIFF's strips: OpenCV's decoder is silent about it."""
+    _check_deflate(path, content, tags)
+    if tags.get("compression", (1,))[0] in (5, 7, 32773):
+        try:
+            with heard(), opened(io.BytesIO(content)) as picture:
+                picture.load()
+        except OSError as error:
+            if "cannot identify" not in str(error):
+                raise BadInput(f"{path}: damaged: {' '.join(str(error).split()):.80}") from None
+        except Exception:  # what Pillow has no mode for
+            return
+
+
+TIFF_NAMES = {259: "compression", 273: "strips", 279: "strip_bytes", 324: "tiles", 325: "tile_bytes"}
+
+
+def _check_deflate(path, content, tags):
     """Strips and tiles that are deflated end with their checksum; OpenCV's decoder does not look at it."""
-    if tags.get(259) in (8, 32946):
-        for starts, counts in ((273, 279), (324, 325)):
+    packed = tags.get("compression", (1,))
+    if (packed[0] if isinstance(packed, tuple) else packed) in (8, 32946):
+        for starts, counts in (("strips", "strip_bytes"), ("tiles", "tile_bytes")):
             for start, count in zip(tags.get(starts, ()), tags.get(counts, ()), strict=False):
                 _unpacked(path, [content[start : start + count]], bounded.LARGEST_FILE)
 
 
-def _tiff_size(content):
-    """The same of a TIFF whose samples Pillow does not know."""
-    from PIL.TiffImagePlugin import ImageFileDirectory_v2
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            tags, file = ImageFileDirectory_v2(content[:8]), io.BytesIO(content)
-            file.seek(tags.next)
-            tags.load(file)
-            return int(tags[256]), int(tags[257])
-    except Exception:  # whatever a damaged header makes of it
-        return None
-
-
 def _check_png(path, content, of_labels=False):
-    """Every chunk whole, its checksum right, the last one IEND; the picture's data as long as its header says."""
-    at, packed, header = 8, [], None
+    """(header, {kind: data} of what is told of colours, bytes up to its end).
+
+    BadInput: a chunk that is not whole, a wrong checksum, no IEND, or not as much data as the header says.
+    """
+    at, packed, header, told = 8, [], None, {}
     while True:
         if at + 12 > len(content):
             raise BadInput(f"{path}: truncated: the PNG ends at byte {len(content)} before its last chunk")
@@ -145,11 +188,68 @@ def _check_png(path, content, of_labels=False):
             bounded.check_picture(path, *header[:2], None if of_labels else len(content))
         elif kind == b"IDAT":
             packed.append(data)
+        elif kind in TOLD:
+            told.setdefault(kind, data)
         elif kind == b"IEND":
             break
     if header is None:
         raise BadInput(f"{path}: damaged: the PNG has no header")
     _check_deflated(path, packed, header)
+    return header, told, at
+
+
+TOLD = (b"tRNS", b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM", b"eXIf", b"acTL")
+
+
+def _png_described(path, header, told, end):
+    width, height, bits, kind = header[:4]
+    exif, coloured = exif_of(told.get(b"eXIf", b"")), 1 if kind in (0, 4) else 3
+    profile, doubts = b"", ()
+    others = tuple(of for of in (_of_cicp(told), _of_chrm(told)) if of)
+    if b"cICP" not in told and b"iCCP" in told:
+        profile, doubts = _icc_of_png(told[b"iCCP"])
+    elif b"sRGB" in told and b"cICP" not in told:
+        others = (lambda: None,)
+    space, notes, more = colours_of(path, profile, coloured, exif, others)
+    left = LeftOut()
+    left.add("further frame", max(0, int.from_bytes(told.get(b"acTL", b"")[:4], "big") - 1))
+    notes += tuple(filter(None, [left.line()]))
+    samples = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}.get(kind, 0)
+    found = Described(
+        "PNG", (width, height), samples, bits, end, exif.turn, space, notes=notes, doubts=(*doubts, *more)
+    )
+    if kind == 0 and len(told.get(b"tRNS", b"")) == 2:  # OpenCV makes alpha of it beside colours, and not beside grey
+        clear = int.from_bytes(told[b"tRNS"], "big")
+        return replace(found, clear=clear * 255 // ((1 << bits) - 1) if bits < 8 else clear)
+    return found
+
+
+def _of_cicp(told):
+    return (lambda: colour_profiles.of_cicp(told[b"cICP"])) if b"cICP" in told else None
+
+
+def _of_chrm(told):
+    """Primaries of cHRM with the curve of gAMA, where it is another than about sRGB's."""
+    if b"cICP" in told or len(told.get(b"cHRM", b"")) < 32:
+        return None
+    gamma = int.from_bytes(told.get(b"gAMA", b"")[:4], "big") / 1e5
+
+    def of():
+        white, *rgb = np.array(struct.unpack(">8I", told[b"cHRM"][:32])).reshape(4, 2) / 1e5
+        curve = colour_profiles.power(1 / gamma) if gamma and abs(gamma - 1 / 2.2) > 0.01 else None
+        curve = colour_profiles.SRGB_CURVE if curve is None else curve
+        return colour_profiles.of_primaries((*rgb, white), "its own primaries", curve, "the file's own cHRM")
+
+    return of
+
+
+def _icc_of_png(data):
+    """(profile, doubts)"""
+    name, _, packed = data.partition(b"\0")
+    try:
+        return zlib.decompressobj().decompress(packed[1:], colour_profiles.LARGEST), ()
+    except zlib.error:
+        return b"", (f"ICC profile {name.decode('latin-1')!r:.60}: is damaged: nothing is converted",)
 
 
 SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # of a PNG's colour types

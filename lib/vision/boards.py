@@ -173,9 +173,12 @@ def _saddle_picture(p, state, turn):
     return state[:, [4]], a * eu * ev, J
 
 
-def grey8(path):
-    """(H, W) uint8 of a photograph of any depth; linear light is shown with gamma 2.2."""
-    photograph = pictures.read_photograph(path)
+def grey8(path, as_stored=False):
+    """(H, W) uint8 of a photograph of any depth; linear light is shown with gamma 2.2.
+
+    as_stored : as the sensor has it, whatever EXIF says of how the camera was held
+    """
+    photograph = pictures.read_photograph(path, as_stored)
     grey = photograph.values.mean(-1)
     if photograph.linear:
         grey = np.clip(grey, 0, 1) ** (1 / 2.2)
@@ -256,6 +259,8 @@ def pairs(folder):
 def detect(shots, corners, progress=None):
     """Boards of the shots ((left path, right path), ...), and the sizes ((w, h), (w, h)).
 
+    Shots are never turned: a lens belongs to the sensor. Over a table a phone notes any orientation.
+
     progress : called with the share that is done. BadInput: an image that cannot be read, or images of several sizes
     """
     import cv2
@@ -264,7 +269,7 @@ def detect(shots, corners, progress=None):
 
     def one(path):
         try:
-            grey = grey8(path)
+            grey = grey8(path, as_stored=True)
         except BadInput as bad:
             return bad, None
         return grey, find(grey, corners)

@@ -71,6 +71,7 @@ def from_boards(folder, board, lens, photographs, report, scratch) -> Calibratio
     """
     mrcal_runner.require_mrcal()
     lenses.check_name(lens, "lens")
+    check_unturned(folder, photographs)
     if board is None:
         raise BadInput(f"{folder}: board: its corners and squares are not known (scene.yaml: board)")
     corners, square_m = tuple(board["corners"]), float(board["square_m"])
@@ -105,6 +106,18 @@ def _warn_of_blanks(found, report):
             report.warning(f"{SIDES[side]}: no board found in {len(blank)} of {len(seen)} images: {named}")
 
 
+def check_unturned(folder, photographs):
+    """BadInput: a photograph that EXIF turns. The boards' lens is that of the sensor's own pixels: it would not fit."""
+    problems = [
+        f"{path}: orientation: {turn}: EXIF turns the photograph, and the lens of {folder} is that of the sensor's own "
+        "pixels: set its orientation to 1 (exiftool -n -Orientation=1), and pick in the picture that shows then"
+        for path in photographs or ()
+        if (turn := image.orientation(path)) != 1
+    ]
+    if problems:
+        raise BadInput(*problems)
+
+
 def _sizes(folder, photographs):
     """((w, h), (w, h)) where only corners are given: of a board's image if there is one, else of the photographs."""
     sizes = []
@@ -116,7 +129,7 @@ def _sizes(folder, photographs):
                 f"{folder}: size: corners.vnl does not tell the size of {name}'s pictures, and neither images nor "
                 "photographs do"
             )
-        sizes.append(image.read_photograph(path).values.shape[1::-1])
+        sizes.append(image.read_photograph(path, as_stored=True).values.shape[1::-1])
     return tuple(sizes)
 
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.core.stage import BadInput
-from tests.helpers import confined, mistakes
+from tests.helpers import confined, mistakes, profiles
 
 WIDTH, HEIGHT = mistakes.WIDTH, mistakes.HEIGHT
 NUMBERS = (
@@ -223,6 +223,68 @@ def _of_a_jpeg(text):
     from lib.given import image, picture_files
 
     return picture_files.with_text(PNG, image.JPEG_KEY, text.decode("latin-1"))
+
+
+def _profiled(kind, profile):
+    """A photograph of 30 x 20 px with this ICC profile."""
+    from PIL import Image
+
+    target, picture = io.BytesIO(), mistakes.picture()[:20, :30]
+    if kind == "TIFF":
+        import tifffile
+
+        words = {"iccprofile": profile, "photometric": "rgb", "planarconfig": "separate", "compression": "deflate"}
+        tifffile.imwrite(target, np.moveaxis(picture, -1, 0).astype(np.uint16) * 257, **words)
+        return target.getvalue()
+    exif = Image.Exif()
+    exif[274] = 6
+    exif.get_ifd(0x8769)[0xA001] = 0xFFFF
+    Image.fromarray(picture).save(target, kind, icc_profile=profile, exif=exif)
+    return target.getvalue()
+
+
+def of_profile(kind):
+    """A change of the profile in a sound file: of its bytes, its tags or its numbers."""
+
+    def change(random, data):
+        profile = bytearray(PROFILE)
+        if random.random() < 0.5:
+            at = random.randrange(128, len(profile) - 4)
+            profile[at : at + 4] = struct.pack(">I", random.choice((0, 1, 3, 2**16, 2**31, 2**32 - 1, len(profile))))
+            return _profiled(kind, bytes(profile))
+        return _profiled(kind, spoilt(random, bytes(profile)))
+
+    return change
+
+
+def of_tiff(random, data):
+    """Numbers of the directory of a TIFF, little-endian, of tifffile's."""
+    data = bytearray(data)
+    (at,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, at)
+    for _ in range(random.choice((1, 1, 2, 3))):
+        place = at + 2 + 12 * random.randrange(count)
+        what = random.choice((0, 2, 4, 8))
+        size = 2 if what in (0, 2) else 4
+        value = random.choice((0, 1, 2, 3, 7, 8, 16, 255, 256, 259, 317, 322, 65535, 2**31, 2**32 - 1, at, len(data)))
+        data[place + what : place + what + size] = (value % (1 << 8 * size)).to_bytes(size, "little")
+    return bytes(data)
+
+
+def _parts_of_exr():
+    import tempfile
+
+    import OpenEXR
+
+    plane = np.full((20, 30), 0.5, np.float32)
+    head = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    colours = {f"beauty.{c}": plane for c in "RGB"}
+    p3 = {"chromaticities": (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329)}
+    parts = [OpenEXR.Part(head | p3, {"Z": plane}, "depth"), OpenEXR.Part(head | p3, colours, "picture")]
+    with tempfile.TemporaryDirectory() as folder:
+        with OpenEXR.File(parts) as file:
+            file.write(f"{folder}/a.exr")
+        return Path(f"{folder}/a.exr").read_bytes()
 
 
 def of_npz(random, data):
@@ -812,7 +874,9 @@ fo 1 2 3
 """
 MTL = b"newmtl lamp\nKe 1 2.5 3\nnewmtl wall\nKd 1 1 1\nmap_Kd ../x.png\n"
 PNG = _encoded(".png", mistakes.picture()[:20, :30])
+PROFILE = profiles.icc("Display P3")
 BLOCKS = b"[8, 0.004, 0.011, 0.002, 0.001, 0.003, 3.5, 0, 2]"  # as lib.given.jpeg.Blocks writes it
+MOTION = _encoded(".jpg", mistakes.picture())
 GREY16 = (mistakes.picture(1).astype(np.uint16) * 200)[:20, :30]
 KINDS = {
     "scene.yaml": Kind("attic/scene.yaml", YAML, _scene, of_yaml, {"attic/left.png": b"x", "attic/model.obj": b""}),
@@ -862,4 +926,10 @@ KINDS = {
     "JPEG": Kind("left.jpg", _encoded(".jpg", mistakes.picture()), _photograph),
     "TIFF": Kind("left.tif", _encoded(".tif", GREY16), _photograph),
     "EXR": Kind("left.exr", _exr(), _photograph),
+    "EXR, parts": Kind("left.exr", _parts_of_exr(), _photograph),
+    "PNG with a profile": Kind("left.png", _profiled("PNG", PROFILE), _photograph, of_profile("PNG")),
+    "JPEG with a profile": Kind("left.jpg", _profiled("JPEG", PROFILE), _photograph, of_profile("JPEG")),
+    "TIFF with a profile": Kind("left.tif", _profiled("TIFF", PROFILE), _photograph, of_profile("TIFF")),
+    "TIFF, planes apart": Kind("left.tif", _profiled("TIFF", PROFILE), _photograph, of_tiff),
+    "motion photo": Kind("left.jpg", MOTION + b"\0\0\0\x18ftypmp42" + bytes(500), _photograph),
 }  # fmt: skip
