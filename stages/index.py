@@ -72,9 +72,7 @@ def main(opt):
         with report.timing("draw"):
             index = draw(model, camera, opt.method, report)
         with report.timing("check"):
-            report["photograph"] = list(view.photograph.notes)
-            for line in view.photograph.doubts:
-                report.warning(f"{opt.photograph}: {line}")
+            report.about(opt.photograph, [*map(Note, view.photograph.notes), *view.photograph.doubts])
             if view.photograph.lost_tables:
                 report.warning(f"{opt.photograph}: {jpeg.NO_TABLES}")
             findings = model_checks.findings(model, camera, index.facet)

@@ -36,7 +36,7 @@ def options():
 
 
 def main(opt):
-    from lib.core.report import Report
+    from lib.core.report import Note, Report
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
@@ -83,8 +83,7 @@ def main(opt):
                     f"{path}: JPEG's steps add {100 * photograph.ringing:.1f} % of white at edges, sigmas hold up to "
                     f"{100 * facets.COARSE:.0f} % (quality 93): facets may be further off than they say"
                 )
-            for line in photograph.doubts:
-                report.warning(f"{path}: {line}")
+            report.about(path, [*map(Note, photograph.notes), *photograph.doubts])
             if photograph.lost_tables:
                 report.warning(f"{path}: {jpeg.NO_TABLES}")
         report["facets"], report["refused"] = len(found), outlines.reasons(refused)

@@ -26,7 +26,7 @@ def options():
 
 
 def main(opt):
-    from lib.core.report import Report
+    from lib.core.report import Note, Report
 
     with Report.of(opt) as report:
         with report.excluded("imports"):
@@ -39,9 +39,7 @@ def main(opt):
         photograph, lens = image.read_photograph(opt.photograph), lenses.read(opt.lens_camera)
         if problem := view.size_problem(opt.photograph, photograph.values, lens, opt.lens_camera):
             raise stage.BadInput(problem)
-        report["photograph"] = list(photograph.notes)
-        for line in photograph.doubts:
-            report.warning(f"{opt.photograph}: {line}")
+        report.about(opt.photograph, [*map(Note, photograph.notes), *photograph.doubts])
         with report.timing("camera"):
             camera, share = lenses.pinhole(lens)
         if (k := reduced.times((lens.width, lens.height), opt.megapixels)) > 1:
