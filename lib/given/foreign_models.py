@@ -31,11 +31,9 @@ def convert(path) -> tuple[dict, list]:
         text = _of_trimesh(path, kind)
         return {"model.obj": text}, [f"{kind} has no materials: everything is one group, {ONE_GROUP}"]
     if kind == "a Mitsuba scene":
-        return {"model.obj": mitsuba_models.Mitsuba(path, content).obj()}, []
+        return _with_lamps(*mitsuba_models.read(path, content))
     if kind == "a USD file" or path.suffix.lower() == ".usdz":
-        parts, emits, said = usd_models.read(path)
-        lamps = "".join(f"newmtl {group}\nKe 1 1 1\n" for group in emits)
-        return {"model.obj": b"mtllib model.mtl\n" + mesh_files.obj(parts), "model.mtl": lamps.encode()}, said
+        return _with_lamps(*usd_models.read(path))
     if kind:
         raise BadInput(f"{path}: is {kind}: {strangers_files.way_out(kind)}")
     files, said = {"model.obj": content}, []
@@ -46,6 +44,12 @@ def convert(path) -> tuple[dict, list]:
         elif beside.is_file() and name not in files:
             files[name] = bounded.content(beside, bounded.LARGEST_TEXT)
     return files, said
+
+
+def _with_lamps(parts, emits, said):
+    """An OBJ and its materials, which say who emits."""
+    lamps = "".join(f"newmtl {group}\nKe 1 1 1\n" for group in emits)
+    return {"model.obj": b"mtllib model.mtl\n" + mesh_files.obj(parts), "model.mtl": lamps.encode()}, said
 
 
 def _libraries(content):
