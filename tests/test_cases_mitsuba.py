@@ -171,6 +171,25 @@ def test_what_mitsuba_does_not_stretch_is_refused(read, kind, steps):
 # ---- the language ----
 
 
+def test_mitsubas_own_cornell_box_as_it_writes_it():
+    """Its extents as Mitsuba 3.9.1 tells them; shapes have names instead of ids there."""
+    path = CASES.parent / "writers/mitsuba/cornell_box.xml"
+    parts, emits, said = mitsuba_models.read(path, path.read_bytes())
+    group = {thing: group for thing, group, _, _ in parts}
+    assert group == {
+        **{"light": "lamp-light", "floor": "white", "ceiling": "white", "back": "white", "small-box": "white"},
+        **{"large-box": "white", "green-wall": "green", "red-wall": "red"},
+    }
+    assert emits == {"lamp-light": True} and said == []
+    looks = {thing: np.round(normal(part), 6).tolist() for part in parts for thing in part[:1]}
+    assert looks["light"] == [0, -1, 0] and looks["red-wall"] == [1, 0, 0] and looks["green-wall"] == [-1, 0, 0]
+    boxes = np.concatenate([p for thing, _, p, _ in parts if "box" in thing])
+    np.testing.assert_allclose(boxes.min(axis=0), (-0.708859, -1.01, -0.658859), atol=1e-6)
+    np.testing.assert_allclose(boxes.max(axis=0), (0.709603, 0.21, 0.754603), atol=1e-6)
+    found, _ = mitsuba_camera.read(path, path.read_bytes(), (256, 256))
+    np.testing.assert_allclose(found.intrinsics[0], 128 / math.tan(math.radians(39.3077 / 2)))
+
+
 def test_groups_are_the_outermost_materials_that_have_an_id(read):
     body = f"""<bsdf type="twosided" id="paint"><bsdf type="diffuse" id="inner"/></bsdf>
     <bsdf type="diffuse" id="paint 2"/><bsdf type="diffuse" id="paint_2"/><emitter type="area" id="glow"/>

@@ -297,6 +297,25 @@ def test_a_room_as_usd_core_writes_it(name):
     assert "lights without faces are left out, draw them: Bulb" in said and "1 hidden instance: not read" in said
 
 
+@pytest.mark.parametrize("name", ["plain", "instanced"])
+def test_a_room_as_blender_writes_it(name):
+    """One cube of two materials, a lamp, a mirrored plane, two chairs; each of them as an instance, too.
+
+    Blender writes the chairs' wood a second time into their prototype: it stays one material.
+    """
+    parts, emits, said = usd_models.read(DATA / f"writers/blender-usd/{name}.usdc")
+    groups = sorted(group for _, group, _, _ in parts)
+    assert groups == ["glow", "off", "wall_paint", "wood", "wood", "wood", "wood"] and emits == {"glow": True}
+    by_group = {group: (p, faces) for _, group, p, faces in parts}
+    assert (by_group["wall_paint"][0][:, 2] == 2).all()
+    normal = {g: np.cross(p[f[0][1]] - p[f[0][0]], p[f[0][2]] - p[f[0][0]]) for g, (p, f) in by_group.items()}
+    assert normal["glow"][2] < 0 < normal["off"][2] and normal["wall_paint"][2] > 0
+    seats = sorted(p.mean(axis=0).round(6).tolist() for thing, _, p, _ in parts if thing.startswith("Plane_003"))
+    np.testing.assert_allclose(seats, [(10, 0, 0.45), (11, 0, 0.45)], atol=1e-6)
+    assert said[-1] == "1 camera: not read" and said[-2].endswith("draw them: Sun")
+    assert any("the control cage is read" in line for line in said) == (name == "plain")
+
+
 def test_the_earliest_time_code_is_read_and_said(read):
     body = f"""def Mesh "m" {{
     {TRIANGLE}

@@ -80,7 +80,7 @@ class _Shapes:
     def shape(self, shape, T, prefix, depth):
         """Appends a shape, or those of a group; T : (4, 4) of the instance that it is in, prefix : its name."""
         self.visited += 1
-        kind, name = shape.get("type"), shape.get("id") or f"shape{self.numbers[id(shape)]}"
+        kind, name = shape.get("type"), shape.get("id") or shape.get("name") or f"shape{self.numbers[id(shape)]}"
         if self.visited > MOST_SHAPES or depth > DEEPEST:
             self.scene.refuse(f"shape {name:.80}: more than {MOST_SHAPES:,} shapes, or deeper than {DEEPEST}")
         if kind == "shapegroup" and depth == 0:
@@ -136,7 +136,7 @@ class _Shapes:
                     return self.groups(("bsdf", id(bsdf)), bsdf.get("id"), f"bsdf {bsdf.get('id')}")
                 inner = self.scene.named(bsdf, "bsdf")
                 bsdf = inner[0] if inner else None
-        return self.groups(("shape", id(shape)), shape.get("id") or name, f"shape {name}")
+        return self.groups(("shape", id(shape)), shape.get("id") or shape.get("name") or name, f"shape {name}")
 
     def shines(self, emitter):
         """Is its radiance other than 0?"""

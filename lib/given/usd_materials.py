@@ -4,10 +4,31 @@ from __future__ import annotations
 
 import numpy as np
 
+BLENDER = "userProperties:blender:data_name"
+
 
 def source(prim):
-    """Where a prim's opinions stand."""
+    """What tells a prim from all others: where its opinions stand.
+
+    Blender writes a material once more into each prototype of an instance: it is one by its name there and its content.
+    """
+    told = prim.GetAttribute(BLENDER)
+    if told and (blender := told.Get()):
+        return "blender", str(blender), _content(prim)
     return tuple((spec.layer.identifier, str(spec.path)) for spec in prim.GetPrimStack())
+
+
+def _content(prim):
+    """Properties and values at and below a prim, paths as seen from it."""
+    from pxr import Usd
+
+    root, rows = str(prim.GetPath()), []
+    for one in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
+        rows.append(f"{str(one.GetPath()).removeprefix(root)} {one.GetTypeName()}")
+        for attribute in one.GetAuthoredAttributes():
+            connected = [str(path).removeprefix(root) for path in attribute.GetConnections()]
+            rows.append(f"{attribute.GetName()} {attribute.Get(Usd.TimeCode.EarliestTime())} {connected}")
+    return tuple(rows)
 
 
 def emits(material) -> bool:
