@@ -17,7 +17,7 @@ from typing import NamedTuple
 from lib.core import bounded
 from lib.core.stage import BadInput
 
-MOST_PRIMS = 200_000  # that composition makes of a small file
+MOST_PRIMS = 50_000  # that composition makes of a small file
 MOST_TIMES = 4  # of the prims that the layers hold: so many from a large one
 MOST_SITES = 1000  # of one prim
 MOST_LAYERS = 10_000

@@ -23,9 +23,9 @@ from lib.given import usd_layers, usd_stage
 
 MEMORY = 900 << 20  # bytes beyond what is held when the file is opened
 MEMORY_TIMES = 20  # of the bytes of the layers: what is allowed on top of it
-CPU_S = 4  # for a small file
+CPU_S = 3  # for a small file
 CPU_S_MB = 1.0  # more of it for each MB of the layers
-CPU_S_PRIM = 1e-3  # more of it for each prim, once they are counted
+CPU_S_PRIM = 2e-3  # more of it for each prim, once they are counted
 
 
 class Limits:
@@ -65,7 +65,7 @@ def main(name, path, answer):
         limits.allow(0)
         found = usd_layers.look(name, path, limits.allow)
         limits.allow(found.size, found.prims)
-        write(answer, *usd_stage.read(name, found))
+        write(answer, *usd_stage.read(name, found, limits.allow))
         return
     except BadInput as bad:
         told = {"problems": bad.problems}

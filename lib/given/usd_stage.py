@@ -11,7 +11,8 @@ from lib.given import round_shapes, usd_materials
 from lib.given.formats import LeftOut
 from lib.given.names import Names
 
-MOST_SHOWN = 200_000  # prims that are visited, those of instances each time
+MOST_SHOWN = 50_000  # prims that are visited, those of instances each time, of a small file;
+SHOWN_BYTES = 16  # and of a large one, so many bytes for each
 MOST_CORNERS = 2_000_000  # of all faces, of a small file;
 CORNER_BYTES = 4  # and of a large one, so many bytes for each
 MOST_DEEP = 20  # point instancers in each other
@@ -37,8 +38,11 @@ def load():
     Usd.Stage.CreateInMemory().DefinePrim("/a", "Mesh")
 
 
-def read(name, found) -> tuple[list, dict, list]:
-    """(parts, {group: emits}, lines to say).  found : of usd_layers.look;  parts : as usd_process.write takes them"""
+def read(name, found, allow=lambda size, prims: None) -> tuple[list, dict, list]:
+    """(parts, {group: emits}, lines to say).  found : of usd_layers.look;  parts : as usd_process.write takes them
+
+    allow : takes the bytes of all layers and the prims that instances make, raises what is allowed
+    """
     from pxr import Usd, UsdUtils
 
     silent = UsdUtils.CoalescingDiagnosticDelegate()
@@ -49,7 +53,7 @@ def read(name, found) -> tuple[list, dict, list]:
         raise BadInput(f"{name}: does not compose: {errors[0][:300]}{more}: put what it names beside it, or mend it")
     metres, said = _unit(name, stage)
     said += _other_units(stage)
-    reader = _Reader(name, stage, metres, max(MOST_CORNERS, found.size // CORNER_BYTES))
+    reader = _Reader(name, stage, metres, found, allow)
     reader.pose()
     reader.walk(stage.GetPseudoRoot(), None)
     del silent
@@ -89,17 +93,19 @@ def _other_units(stage):
 class _Reader:
     """What has been read so far."""
 
-    def __init__(self, name, stage, metres, most):
+    def __init__(self, name, stage, metres, found, allow):
         from pxr import Usd, UsdGeom
 
-        self.name, self.stage, self.metres, self.most = name, stage, metres, most
+        self.name, self.stage, self.metres, self.found, self.allow = name, stage, metres, found, allow
+        self.most = max(MOST_CORNERS, found.size // CORNER_BYTES)
+        self.most_shown = max(MOST_SHOWN, found.specs, found.prims, found.size // SHOWN_BYTES)
         self.time = Usd.TimeCode.EarliestTime()
         self.places = UsdGeom.XformCache(self.time)
         self.all = Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)
         self.parts, self.emits, self.lights, self.cages, self.refused = [], {}, [], {}, []
         self.left, self.groups, self.objects = LeftOut(), Names(), Names()
         self.animated, self.first, self.visited, self.corners, self.round = set(), np.inf, 0, 0, False
-        self.shapes, self.counts, self.tangled = {}, {}, 0
+        self.shapes, self.counts, self.tangled, self.allowed = {}, {}, 0, 0
 
     def refuse(self, prim, problem):
         raise BadInput(f"{self.name}: {prim.GetPath() if hasattr(prim, 'GetPath') else prim}: {problem}")
@@ -148,8 +154,8 @@ class _Reader:
         while todo:
             prim = todo.pop()
             self.visited += 1
-            if self.visited > MOST_SHOWN:
-                self.refuse(prim, f"instances make more than {MOST_SHOWN:,} prims, the most that are read: make fewer")
+            if self.visited > 2 * self.most_shown:
+                self.refuse(prim, f"more than {self.visited - 1:,} prims are drawn: make fewer instances")
             if frame is None and not self.is_there(prim):
                 continue
             imageable = UsdGeom.Imageable(prim)
@@ -247,12 +253,12 @@ class _Reader:
             self.refuse(prim, f"protoIndices: {wrong} is out of range: it has {len(targets)} prototypes")
         if deep > MOST_DEEP:
             self.refuse(prim, f"point instancers are nested deeper than {MOST_DEEP}")
-        if len(which) > MOST_SHOWN:
-            self.refuse(prim, f"protoIndices: {len(which):,} instances: at most {MOST_SHOWN:,} are read")
-        if frame is None and (count := self.count(prim, 0)) > MOST_SHOWN:
-            self.refuse(
-                prim, f"instances make {count:,} prims, and at most {MOST_SHOWN:,} are read: make fewer of them"
-            )
+        if frame is None:
+            if (count := self.count(prim, 0)) > self.most_shown:
+                most = f"at most {self.most_shown:,} are read"
+                self.refuse(prim, f"instances make {count:,} prims, and {most}: make fewer of them")
+            self.allowed += count
+            self.allow(self.found.size, self.found.prims + self.allowed)
         times = [a.GetBracketingTimeSamples(-1e300)[:1] for a in prim.GetAttributes() if a.GetNumTimeSamples()]
         time = Usd.TimeCode(min(t[0] for t in times)) if times else Usd.TimeCode.Default()
         placed = instancer.ComputeInstanceTransformsAtTime(
