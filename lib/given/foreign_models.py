@@ -32,14 +32,18 @@ def convert(path) -> tuple[dict, list]:
         text = mesh_files.obj([(ONE_GROUP, ONE_GROUP, points, faces)])
         return {"model.obj": text}, [f"{kind} has no materials: everything is one group, {ONE_GROUP}", *said]
     if kind == "a Mitsuba scene":
-        return {"model.obj": mitsuba_models.Mitsuba(path, content).obj()}, []
+        return _with_lamps(*mitsuba_models.read(path, content))
     if kind == "a USD file" or path.suffix.lower() == ".usdz":
-        parts, emits, said = usd_models.read(path)
-        lamps = "".join(f"newmtl {group}\nKe 1 1 1\n" for group in emits)
-        return {"model.obj": b"mtllib model.mtl\n" + mesh_files.obj(parts), "model.mtl": lamps.encode()}, said
+        return _with_lamps(*usd_models.read(path))
     if kind:
         raise BadInput(f"{path}: is {kind}: {strangers_files.way_out(kind)}")
     return _of_obj(path, content)
+
+
+def _with_lamps(parts, emits, said):
+    """An OBJ and its materials, which say who emits."""
+    lamps = "".join(f"newmtl {group}\nKe 1 1 1\n" for group in emits)
+    return {"model.obj": b"mtllib model.mtl\n" + mesh_files.obj(parts), "model.mtl": lamps.encode()}, said
 
 
 def emitters(files) -> list[str]:

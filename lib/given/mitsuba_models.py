@@ -1,111 +1,202 @@
-"""Shapes of a Mitsuba 3 scene as an OBJ with a group for each material."""
+"""Shapes of a Mitsuba scene as meshes with a group for each material; facets look where Mitsuba's normals do."""
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
+from collections import Counter
 
 import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
-from lib.given.cameras import matrix_from_rt
+from lib.given import round_shapes
+from lib.given.formats import Format, LeftOut
 from lib.given.mesh_files import beside, mesh
-from lib.given.mesh_files import obj as obj_text
+from lib.given.mitsuba_xml import Scene
 from lib.given.model.obj import read_obj
+from lib.given.names import Names
 
-SQUARE = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], float)
-CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-CUBE_FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+FORMAT = Format(
+    "Mitsuba (XML, versions 0.5 to 3)",
+    read=(
+        "rectangle, cube, obj, ply, stl; disk, sphere and cylinder as facets; merge, shapegroup and instance",
+        "flip_normals, to_world, include (of the model's folder), default and $parameters, alias, ref",
+        "area emitters: each is a lamp, a group of its own; a group is the outermost bsdf that has an id",
+        "the first sensor, perspective or thinlens: it is the camera of the photograph where no other is given",
+    ),
+    refused=(
+        ("a file outside the model's folder, or one that is not there", "put it beside the XML"),
+        ("shapes of other kinds (serialized, hair, curves, sdfgrid ...)", "export them as PLY or OBJ"),
+        ("parameters without a default, animations", "write their values into the file"),
+        ("spheres and cylinders that are stretched, which Mitsuba does not stretch", "export them as PLY or OBJ"),
+    ),
+    left_out=("lights without faces: point, spot, directional, constant, envmap, sky", "media, further sensors"),
+)
+KNOWN = "rectangle, cube, disk, sphere, cylinder, obj, ply, stl"
+FILES = ("obj", "ply", "stl")
+ANALYTIC = ("disk", "cylinder")  # whose normals a mirroring does not turn round; those of all others it does
+GROUPS = ("merge", "shapegroup")
+MOST_CORNERS = 2_000_000  # of all faces, of small files;
+CORNER_BYTES = 4  # and of large ones, so many bytes for each
+MOST_SHAPES = 200_000
+DEEPEST = 15  # instances in each other
+STRETCH = 1e-4  # of two lengths that should be one
 
 
-class Mitsuba:
-    """Shapes of a Mitsuba 3 scene: rectangle, cube, obj, ply, stl; the group is the id of the material."""
+def read(path, content) -> tuple[list, dict, list]:
+    """([(object, group, points (V, 3), faces)], {group: emits}, lines to say).  BadInput: see FORMAT"""
+    return _Shapes(Scene(path, content)).all()
 
-    def __init__(self, path, content):
-        self.path = path
-        try:
-            self.root = ElementTree.fromstring(content)
-        except ElementTree.ParseError as error:
-            raise BadInput(f"{path}: not readable XML: {error}") from None
 
-    def obj(self) -> bytes:
-        parts, left = [], []
-        for number, shape in enumerate(self.root.iter("shape")):
-            name = shape.get("id") or f"shape{number}"
-            made = self.shape(shape)
-            if made is None:
-                left.append(f"{name} ({shape.get('type')})")
-                continue
-            T = self.transform(shape)
-            points = made[0] @ T[:3, :3].T + T[:3, 3]
-            flipped = np.linalg.det(T[:3, :3]) < 0
-            faces = [tuple(face)[::-1] if flipped else tuple(face) for face in made[1]]
-            parts.append((name.replace(" ", "_"), self.group(shape, name).replace(" ", "_"), points, faces))
-        if left:
-            known = "rectangle, cube, obj, ply, stl"
-            raise BadInput(f"{self.path}: shapes that are not read: {', '.join(left[:5])}; read are {known}")
-        if not parts:
-            raise BadInput(f"{self.path}: has no shape")
-        return obj_text(parts)
+class _Shapes:
+    def __init__(self, scene):
+        self.scene, self.parts, self.emits, self.refused = scene, [], {}, []
+        self.groups, self.objects, self.left = Names(), Names(), LeftOut()
+        self.size, self.meshes, self.numbers = scene.size, {}, {}
+        self.corners, self.visited, self.round, self.lights = 0, 0, False, Counter()
+
+    def all(self):
+        shapes = list(self.scene.root.iter("shape"))
+        self.numbers = {id(shape): k for k, shape in enumerate(shapes)}
+        used = {ref.get("id") for shape in shapes for ref in shape.findall("ref")}
+        for element in self.scene.root:
+            if element.tag == "shape":
+                self.shape(element, np.eye(4), "", 0)
+            elif element.tag in ("emitter", "luminaire") and element.get("id") not in used:
+                self.lights[element.get("type", "emitter")] += 1
+        if self.refused:
+            named = ", ".join(self.refused[:5])
+            self.scene.refuse(f"shapes that are not read: {named}; export them as PLY or OBJ; read are {KNOWN}")
+        if not self.parts:
+            self.scene.refuse("has no shape")
+        said = [round_shapes.WORDS] if self.round else []
+        said += self.groups.lines()
+        if self.lights:
+            named = ", ".join(f"{kind} ({count})" if count > 1 else kind for kind, count in self.lights.items())
+            said.append(f"lights without faces are left out, draw them: {named:.200}")
+        self.left.add("sensor after the first", max(0, len(self.scene.root.findall("sensor")) - 1))
+        line = self.left.line()
+        return self.parts, self.emits, said + ([line] if line else [])
+
+    def shape(self, shape, T, prefix, depth):
+        """Appends a shape, or those of a group; T : (4, 4) of the instance that it is in, prefix : its name."""
+        self.visited += 1
+        kind, name = shape.get("type"), shape.get("id") or shape.get("name") or f"shape{self.numbers[id(shape)]}"
+        if self.visited > MOST_SHAPES or depth > DEEPEST:
+            self.scene.refuse(f"shape {name:.80}: more than {MOST_SHAPES:,} shapes, or deeper than {DEEPEST}")
+        if kind == "shapegroup" and depth == 0:
+            return  # what is drawn are its instances
+        if kind in GROUPS:
+            for child in self.scene.named(shape, "shape"):
+                self.shape(child, T, prefix, depth + 1)
+        elif kind == "instance":
+            for group in self.scene.named(shape, "shape"):
+                self.shape(group, T @ self.scene.placed(shape), f"{prefix}{name}.", depth + 1)
+        elif kind not in (*FILES, *MAKERS):
+            self.refused.append(f"{name:.80} ({kind})")
+        else:
+            self.add(shape, kind, prefix + name, T)
+
+    def add(self, shape, kind, name, T):
+        T = T @ self.scene.placed(shape)
+        if kind in FILES:
+            points, faces = self.of_file(shape, kind, name)
+        else:
+            points, faces, own = MAKERS[kind](self.scene, shape)
+            self.round |= kind in ("disk", "sphere", "cylinder")
+            if kind in ("sphere", "cylinder"):
+                self.check_stretch(name, kind, T @ own)
+            T = T @ own
+        self.corners += sum(map(len, faces))
+        most = max(MOST_CORNERS, self.size // CORNER_BYTES)
+        if self.corners > most:
+            self.scene.refuse(f"shape {name:.80}: all faces have more than {most:,} corners: make fewer instances")
+        points = points @ T[:3, :3].T + T[:3, 3]
+        turned = self.scene.flag(shape, "flip_normals")
+        if kind in ANALYTIC and np.linalg.det(T[:3, :3]) < 0:
+            turned = not turned
+        faces = [tuple(face)[::-1] if turned else tuple(face) for face in faces]
+        thing = self.objects(self.visited, name)
+        self.parts.append((thing, self.group(shape, name), points, faces))
+
+    def check_stretch(self, name, kind, T):
+        lengths = np.linalg.norm(T[:3, : 3 if kind == "sphere" else 2], axis=0)
+        if np.ptp(lengths) > STRETCH * lengths.max():
+            self.scene.refuse(f"shape {name:.80}: to_world stretches a {kind}, which Mitsuba does not: export an OBJ")
 
     def group(self, shape, name):
-        """A lamp is a group of its own; else the material that the shape names."""
-        if shape.find("emitter") is not None:
-            return f"lamp-{name}"
-        for child in (*shape.findall("ref"), *shape.findall("bsdf")):
-            if child.get("name") in (None, "bsdf") and child.get("id"):
-                return child.get("id")
-        return name
+        """A lamp is a group of its own; else the outermost material that has an id; else the shape."""
+        for emitter in (*self.scene.named(shape, "emitter"), *self.scene.named(shape, "luminaire")):
+            if self.shines(emitter):
+                group = self.groups(("lamp", id(shape), name), f"lamp-{name}", f"lamp {name}")
+                self.emits[group] = True
+                return group
+        for bsdf in self.scene.named(shape, "bsdf"):
+            while bsdf is not None:
+                if bsdf.get("id"):
+                    return self.groups(("bsdf", id(bsdf)), bsdf.get("id"), f"bsdf {bsdf.get('id')}")
+                inner = self.scene.named(bsdf, "bsdf")
+                bsdf = inner[0] if inner else None
+        return self.groups(("shape", id(shape)), shape.get("id") or shape.get("name") or name, f"shape {name}")
 
-    def shape(self, shape):
-        """(points (V, 3), faces), None for a kind that is not read."""
-        kind = shape.get("type")
-        if kind == "rectangle":
-            return SQUARE, [(0, 1, 2, 3)]
-        if kind == "cube":
-            return CUBE, CUBE_FACES
-        if kind in ("ply", "stl", "obj"):
-            name = next((s.get("value") for s in shape.findall("string") if s.get("name") == "filename"), None)
-            file = beside(self.path, name or "")
-            if not file.is_file():
-                raise BadInput(f"{self.path}: shape {shape.get('id')}: {file}: there is no such file")
-            if kind != "obj":
-                return mesh(file, kind)
-            lines = bounded.content(file).splitlines()
-            content = b"usemtl x\n" + b"\n".join(x for x in lines if not x.lstrip().startswith(b"usemtl"))
-            polygons = read_obj(str(file), content)
-            return polygons.vertices, np.split(polygons.corners, polygons.starts[1:-1])
-        return None
-
-    def transform(self, shape):
-        """(4, 4): the steps of to_world, each after the ones before it."""
-        T = np.eye(4)
-        for step in shape.findall("transform/*"):
-            T = self.step(step) @ T
-        return T
-
-    def step(self, step):
-        S = np.eye(4)
-        three = lambda key: np.array([float(v) for v in step.get(key).replace(",", " ").split()])
-        axes = lambda default: np.array([float(step.get(a, default)) for a in "xyz"])
+    def shines(self, emitter):
+        """Is its radiance other than 0?"""
+        told = self.scene.value(emitter, "radiance")
         try:
-            if step.tag == "matrix":
-                S = three("value").reshape(4, 4)
-            elif step.tag == "translate":
-                S[:3, 3] = three("value") if step.get("value") else axes(0)
-            elif step.tag == "scale":
-                S[:3, :3] = np.diag(three("value") * np.ones(3) if step.get("value") else axes(1))
-            elif step.tag == "rotate":
-                axis = three("value") if step.get("value") else axes(0)
-                angle = np.radians(float(step.get("angle")))
-                S = matrix_from_rt(np.concatenate([angle * axis / np.linalg.norm(axis), np.zeros(3)]))
-            elif step.tag == "lookat":
-                origin, target, up = three("origin"), three("target"), three("up")
-                z = (target - origin) / np.linalg.norm(target - origin)
-                x = np.cross(up, z) / np.linalg.norm(np.cross(up, z))
-                S[:3, :4] = np.column_stack([x, np.cross(z, x), z, origin])
-            else:
-                raise ValueError(f"{step.tag} is not known")
-        except (ValueError, AttributeError, TypeError) as error:
-            raise BadInput(f"{self.path}: transform: {step.tag}: {error}") from None
-        return S
+            return told is None or any(float(word) != 0 for word in told.replace(",", " ").split())
+        except ValueError:  # a colour as #rrggbb, a spectrum as wavelength:value
+            return True
+
+    def of_file(self, shape, kind, name):
+        file = beside(self.scene.path, self.scene.value(shape, "filename") or "")
+        if file not in self.meshes:
+            if not file.is_file():
+                self.scene.refuse(f"shape {name:.80}: {file}: there is no such file: put it there")
+            self.size += file.stat().st_size
+            self.meshes[file] = _of_obj(file) if kind == "obj" else mesh(file, kind)
+        return self.meshes[file]
+
+
+def _of_obj(file):
+    """(points, faces); Mitsuba's materials are the shape's own."""
+    lines = bounded.content(file).splitlines()
+    content = b"usemtl x\n" + b"\n".join(x for x in lines if not x.lstrip().startswith(b"usemtl"))
+    polygons = read_obj(str(file), content)
+    if len(polygons.starts) < 2:
+        raise BadInput(f"{file}: has no faces")
+    return polygons.vertices, np.split(polygons.corners, polygons.starts[1:-1])
+
+
+def _sphere(scene, shape):
+    own = np.diag([*np.full(3, _length(scene, shape, "radius")), 1.0])
+    own[:3, 3] = scene.point(shape, "center", (0, 0, 0))
+    return *round_shapes.sphere(), own
+
+
+def _cylinder(scene, shape):
+    """Between two points, without lids."""
+    p0, p1 = scene.point(shape, "p0", (0, 0, 0)), scene.point(shape, "p1", (0, 0, 1))
+    length, own = np.linalg.norm(p1 - p0), np.eye(4)
+    if not length > 0:
+        scene.refuse(f"shape {shape.get('id') or 'cylinder'}: p0 and p1 are one point")
+    z = (p1 - p0) / length
+    x = np.cross(z, np.eye(3)[np.abs(z).argmin()])
+    x /= np.linalg.norm(x)
+    radius = _length(scene, shape, "radius")
+    own[:3] = np.column_stack([radius * x, radius * np.cross(z, x), z * length, p0])
+    return *round_shapes.tube(1.0, 1.0, 0.0, 1.0), own
+
+
+def _length(scene, shape, name):
+    told = scene.number(shape, name, 1.0)
+    if not told > 0:
+        scene.refuse(f"shape {shape.get('id') or shape.get('type')}: {name} = {told:g} is not positive")
+    return told
+
+
+MAKERS = {  # kind: (scene, shape) -> (points, faces, (4, 4) of its own)
+    "rectangle": lambda *_: (round_shapes.SQUARE, [(0, 1, 2, 3)], np.eye(4)),
+    "cube": lambda *_: (round_shapes.CUBE, round_shapes.CUBE_FACES, np.eye(4)),
+    "disk": lambda *_: (*round_shapes.disk(), np.eye(4)),
+    "sphere": _sphere,
+    "cylinder": _cylinder,
+}

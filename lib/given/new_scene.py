@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,11 +16,27 @@ import numpy as np
 
 from lib.core import bounded
 from lib.core.stage import BadInput
-from lib.given import foreign_cameras, foreign_models, image, lenses, picks_frame, reduced, sight
+from lib.given import (
+    foreign_cameras,
+    foreign_models,
+    image,
+    lenses,
+    mitsuba_camera,
+    picks_frame,
+    reduced,
+    sight,
+    strangers_files,
+)
 from lib.given import model as models
 from lib.given import picks as picks_
 
-LAMP = re.compile(r"lamp|light|bulb|lumin|leucht|lampe|emit|neon|tube|spot|window|fenster|sky", re.I)
+# Whole words of a group's name that mean a lamp, and those after which a light, a window or a spot is none
+LAMPS = "lamp lamps light lights bulb bulbs lightbulb luminaire luminaires emitter emitters emission emissive neon tube"
+LAMPS += " tubes spot spots spotlight spotlights downlight downlights ceilinglight ceilinglamp skylight lightsource sky"
+LAMPS += " window windows lampe lampen leuchte leuchten licht fenster himmel led leds"
+NO_LAMPS = "grey gray blue green red brown yellow beige pink orange white black wood oak pine metal steel concrete tone"
+NO_LAMPS += " stone frame frames sill switch stand base pole shade cord cable holder"
+LAMPS, NO_LAMPS = frozenset(LAMPS.split()), frozenset(NO_LAMPS.split())
 SUFFIX = {".png": ".png", ".jpg": ".jpg", ".jpeg": ".jpg", ".tif": ".tif", ".tiff": ".tif", ".exr": ".exr"}
 ROOM_M = 60.0  # the longest side of a model that is likely in metres
 DIAGONAL_35 = 43.267  # mm, of the film that EXIF's equivalent focal length is for
@@ -45,8 +62,13 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
     world = models.load(next(folder / name for name in files if name.startswith("model.")))
     said.append(f"model: {len(world.groups)} groups: {_listed(world.groups)}")
     said += [f"model: {line}" for line in (*world.notes, *world.warnings)]
-    lamps = _lamps(world.groups, foreign_models.emitters(files))
-    found = foreign_cameras.read(camera, size, picture, image.orientation(photograph)) if camera else None
+    lamps, lines = _lamps(world.groups, foreign_models.emitters(files))
+    said += lines
+    if camera:
+        found = foreign_cameras.read(camera, size, picture, image.orientation(photograph))
+    else:
+        found, lines = _of_the_model(model, size, bool(points))
+        said += [f"camera: {line}" for line in lines]
     unit = _unit(world)
     facts, hints = [], [unit.line] if unit else []
     if found:
@@ -105,8 +127,32 @@ def _smaller(path, content, k):
 
 
 def _lamps(groups, emitters):
-    """Groups that emit by their material; without any, those whose name sounds like a lamp."""
-    return [g for g in groups if g in emitters] or [g for g in groups if LAMP.search(g)]
+    """(groups that emit by their material; without any, those whose name says lamp, lines to say)"""
+    told = [g for g in groups if g in emitters]
+    guessed = [] if told else [g for g in groups if _says_lamp(g)]
+    return told or guessed, [f"lamps: guessed by their names: {_listed(guessed)}"] if guessed else []
+
+
+def _says_lamp(name):
+    """By whole words, which _ - . blanks, digits and capitals part.
+
+    >>> [_says_lamp(name) for name in ("CeilingLamp1", "led_strip", "BrushedAluminium", "light_oak", "Clamp")]
+    [True, True, False, False, False]
+    """
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[^\W\d_A-Z]+", name)
+    words = [word.lower() for word in words]
+    return any(word in LAMPS and after not in NO_LAMPS for word, after in zip(words, [*words[1:], ""], strict=True))
+
+
+def _of_the_model(path, size, picked):
+    """(camera that the model's file tells, lines to say); its lens alone where the pose was picked."""
+    content = bounded.content(path)
+    if strangers_files.kind_of(content) != "a Mitsuba scene":
+        return None, []
+    found, lines = mitsuba_camera.read(Path(path), content, size)
+    if found and picked:
+        found, lines = replace(found, T=None), [*lines, "its lens alone: PICKS tell the pose"]
+    return found, lines
 
 
 def _points(path, points, model, unit, k):

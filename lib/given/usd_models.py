@@ -1,14 +1,57 @@
-"""Models in USD (usda, usdc, usdz) as an OBJ with its materials, where USD's own package, usd-core, is installed."""
+"""Models in USD (usda, usdc, usdz) as an OBJ with its materials, where USD's own package, usd-core, is installed.
+
+A process of its own reads the file (usd_process.py): what crashes USD, or takes too much, is one line here.
+"""
 
 from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
 from lib.core.stage import BadInput
+from lib.given.formats import Format
 
+FLAT = "flatten it: usdcat --flatten -o flat.usdc"
+FORMAT = Format(
+    "USD (usda, usdc, usdz)",
+    read=(
+        "meshes; cubes and planes; spheres, cylinders, cones and capsules as facets; what is in the purposes render "
+        "and default, at the earliest time code",
+        "sublayers, references, payloads, variants, inherits and instances, of files in the model's folder",
+        "point instancers; skinned meshes in their pose; bound materials and subsets of the family materialBind",
+    ),
+    refused=(
+        ("a file outside the model's folder, or one that is not there", FLAT),
+        ("value clips, asset paths with expressions, packages in packages", FLAT),
+        ("composition to far more prims than the file holds", "load fewer instances"),
+        ("NURBS patches and tetrahedra", "make meshes of them"),
+    ),
+    left_out=(
+        "proxies and guides, invisible and inactive prims, holes",
+        "lights without faces, cameras, curves, points, volumes, prims of unknown types",
+        "subdivision: the control cage is read",
+    ),
+)
 WITHOUT = (
     "is a USD file, and its package is not installed: .venv/bin/python -m pip install usd-core, or export OBJ or GLB"
 )
+ROOT = Path(__file__).resolve().parents[2]
+MODULE = ("-m", "lib.given.usd_process")
+WALL_S = 300  # after which a process that waits for nothing is ended; its CPU time ends far earlier
+SETTINGS = {
+    "PXR_WORK_THREAD_LIMIT": "1",  # threads' stacks count as memory
+    "OPENBLAS_NUM_THREADS": "1",
+    "MALLOC_ARENA_MAX": "1",
+    "USD_SHADE_MATERIAL_BINDING_API_CHECK": "allowMissingAPI",  # bindings as tools wrote them before 2022
+}
 
 
 def read(path) -> tuple[list, dict, list]:
@@ -16,80 +59,57 @@ def read(path) -> tuple[list, dict, list]:
 
     Points stand in the stage's own axes, in metres by its metersPerUnit. A group is the material that is bound to a
     mesh or to a subset of its faces; lights of USD's own, which have no faces, are named in a line.
-    BadInput: no package, a file that it cannot open, shapes that are no meshes, no faces
+    BadInput: no package, a file that it cannot open, shapes that are no meshes, no faces; see FORMAT
     """
     try:
-        from pxr import Tf, Usd, UsdGeom, UsdLux
+        importlib.import_module("pxr")
     except ImportError:
         raise BadInput(f"{path}: {WITHOUT}") from None
-    try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        raise BadInput(f"{path}: not readable: {' '.join(str(error).split())[:200]}") from None
-    metres, parts, emits, left, lights = UsdGeom.GetStageMetersPerUnit(stage), [], {}, [], []
-    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if prim.IsA(UsdGeom.Imageable) and UsdGeom.Imageable(prim).ComputeVisibility() == "invisible":
-            continue
-        if prim.IsA(UsdGeom.Mesh):
-            parts += _of_mesh(UsdGeom.Mesh(prim), metres, emits)
-        elif prim.IsA(UsdGeom.Gprim):
-            left.append(f"{prim.GetName()} ({prim.GetTypeName()})")
-        elif prim.HasAPI(UsdLux.LightAPI):
-            lights.append(prim.GetName())
-    if left:
-        raise BadInput(f"{path}: shapes that are not read: {', '.join(left[:5])}; make meshes of them")
-    if not parts:
-        raise BadInput(f"{path}: has no mesh")
-    up = str(UsdGeom.GetStageUpAxis(stage)).lower()
-    said = [f"USD, {metres:g} m to its unit: written in metres", *([f"its up axis is {up}"] if up != "z" else [])]
-    said += [f"lights without faces are left out, draw them: {', '.join(lights[:5])}"] if lights else []
-    return parts, emits, said
+    # nothing is found by its bare name: neither in the current folder, nor along USD's search path
+    env = {key: value for key, value in os.environ.items() if not key.startswith(("PXR_", "USD_"))}
+    env |= {**SETTINGS, "PYTHONPATH": str(ROOT)}
+    with tempfile.TemporaryDirectory() as scratch:
+        answer, empty = f"{scratch}/answer", Path(scratch) / "empty"
+        empty.mkdir()
+        argv = [sys.executable, *MODULE, str(path), Path(path).absolute(), answer]
+        try:
+            done = subprocess.run(
+                argv, cwd=empty, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=WALL_S
+            )
+        except subprocess.TimeoutExpired:
+            raise BadInput(f"{path}: USD's package came to no end within {WALL_S} s: {FLAT}") from None
+        return answered(path, answer, done.returncode)
 
 
-def _of_mesh(mesh, metres, emits):
-    """Parts of one mesh, one for each material."""
-    from pxr import Usd, UsdGeom, UsdShade
-
-    T = np.array(UsdGeom.Xformable(mesh).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))  # rows: p' = (p, 1) T
-    points = np.array(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), float).reshape(-1, 3)
-    points = metres * (points @ T[:3, :3] + T[3, :3])
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], int)
-    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], int)
-    where, name = str(mesh.GetPath()), mesh.GetPrim().GetName()
-    if counts.sum() != len(corners) or len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-        raise BadInput(f"{where}: faceVertexIndices do not belong to its {len(counts)} faces and {len(points)} points")
-    turned = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(T[:3, :3]) < 0)
-    faces = [tuple(face)[::-1] if turned else tuple(face) for face in np.split(corners, np.cumsum(counts)[:-1])]
-    group_of = np.full(len(faces), _material(UsdShade.MaterialBindingAPI(mesh), name, emits), object)
-    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
-        bound = UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial()[0]
-        if bound:
-            group_of[np.array(subset.GetIndicesAttr().Get(), int)] = _named(bound, emits)
-    some = [face for face, count in zip(faces, counts, strict=True) if count >= 3]
-    names = group_of[counts >= 3]
-    parts = []
-    for group in dict.fromkeys(names):
-        own = [face for face, of in zip(some, names, strict=True) if of == group]
-        used, index = np.unique(np.concatenate(own), return_inverse=True)
-        split = np.split(index, np.cumsum([len(face) for face in own])[:-1])
-        parts.append((name, group, points[used], [tuple(face) for face in split]))
-    return parts
+def answered(path, answer, status):
+    """What `read` returns or raises, of what usd_process wrote and how it ended."""
+    if Path(f"{answer}.npz").is_file():
+        with np.load(f"{answer}.npz", allow_pickle=False) as arrays:
+            return _parts(arrays)
+    if Path(f"{answer}.json").is_file():
+        told = json.loads(Path(f"{answer}.json").read_text(encoding="utf-8"))
+        if "problems" in told:
+            raise BadInput(*told["problems"])
+        raise RuntimeError(f"usd_process: {told['traceback']}")
+    raise BadInput(f"{path}: {_ended(status)}")
 
 
-def _material(binding, name, emits):
-    bound = binding.ComputeBoundMaterial()[0]
-    return _named(bound, emits) if bound else name
+def _ended(status):
+    """Words for how the process ended that left no answer."""
+    if -status in (signal.SIGXCPU, signal.SIGKILL):
+        return f"takes USD's package too long: it is damaged, or composes far more than it holds; {FLAT}"
+    name = signal.Signals(-status).name if -status in set(signal.Signals) else f"status {status}"
+    return f"USD's package broke off ({name}): it is damaged, or takes more memory than a file of its size should"
 
 
-def _named(material, emits):
-    """Its name; notes whether one of its shaders emits."""
-    from pxr import UsdShade
-
-    name = material.GetPrim().GetName()
-    for prim in material.GetPrim().GetChildren():
-        shader = UsdShade.Shader(prim)
-        for key in ("emissiveColor", "emission_color", "emission"):
-            value = shader.GetInput(key).Get() if shader and shader.GetInput(key) else None
-            if value is not None and np.any(np.array(value, float) > 0):
-                emits[name] = True
-    return name
+def _parts(arrays):
+    """What usd_process.write wrote."""
+    told = json.loads(arrays["told"].tobytes())
+    points, counts, corners = arrays["points"], arrays["counts"], arrays["corners"]
+    parts, at = [], [0, 0, 0]
+    for thing, group, *sizes in told["parts"]:
+        p, n, c = (slice(start, start + size) for start, size in zip(at, sizes, strict=True))
+        faces = np.split(corners[c], np.cumsum(counts[n])[:-1])
+        parts.append((thing, group, points[p], [tuple(face.tolist()) for face in faces]))
+        at = [p.stop, n.stop, c.stop]
+    return parts, told["emits"], told["said"]

@@ -182,20 +182,28 @@ def blender_refusals(folder, out):
     print(json.dumps(told | {"written": sorted(path.name for path in folder.glob("*.json"))}))
 
 
-def usd_model(folder, out):
-    """What lib/given/usd_models.py reads of folder/model.usda: [object, group, points, faces], who emits, lines; or why
-    it does not."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-    from lib.core.stage import BadInput
-    from lib.given import usd_models
+def mitsuba_rays(folder, out):
+    """Of folder/*.xml, where there is rays.json beside: what each ray hits first, [point, normal], or None; of every
+    sensor that is read, its size and rays through some pixels, [x, y, origin, direction]."""
+    import mitsuba as mi
+    import numpy as np
 
-    try:
-        parts, emits, said = usd_models.read(folder / "model.usda")
-    except BadInput as bad:
-        print(json.dumps(list(bad.problems)))
-        return
-    plain = [(o, g, p.tolist(), [list(map(int, face)) for face in faces]) for o, g, p, faces in parts]
-    print(json.dumps([plain, emits, said]))
+    mi.set_variant("scalar_rgb")
+    mi.set_log_level(mi.LogLevel.Error)
+    rays, told = json.loads((folder / "rays.json").read_text()), {}
+    for path in sorted(folder.glob("*.xml")):
+        scene, hits, seen = mi.load_file(str(path)), [], []
+        for origin, direction in rays:
+            hit = scene.ray_intersect(mi.Ray3f(origin, direction))
+            hits.append([np.array(hit.p).tolist(), np.array(hit.n).tolist()] if hit.is_valid() else None)
+        for sensor in scene.sensors()[:1]:
+            width, height = np.array(sensor.film().crop_size()).tolist()
+            for x, y in ((0.0, 0.0), (width - 1.0, 0.0), (0.25 * width, 0.8 * height), (width - 1.0, height - 1.0)):
+                at = mi.Point2f((x + 0.5) / width, (y + 0.5) / height)
+                ray, _ = sensor.sample_ray(0, 0.5, at, mi.Point2f(0.5, 0.5))
+                seen.append([x, y, np.array(ray.o).tolist(), np.array(ray.d).tolist()])
+        told[path.stem] = [hits, seen]
+    print(json.dumps(told))
 
 
 if __name__ == "__main__":
