@@ -171,3 +171,45 @@ def test_a_plan_that_is_interrupted_says_one_line():
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root)
     assert run.returncode == 130 and run.stderr == "plan.py: interrupted: nothing of it was written\n"
+
+
+@pytest.mark.parametrize("calls", [100, 3_000, 30_000, 300_000])
+def test_signals_without_end_are_told_once(calls):
+    """While it imports, while kernels compile, while it says that it stops: two tracebacks came of a second signal.
+
+    No clock: the signals begin with the n-th call of a Python function.
+    """
+    program = (
+        "import argparse, os, signal, sys, threading\n"
+        "from lib.core import stage\n"
+        "sys.setswitchinterval(1e-5)\n"
+        "def signals():\n"
+        "    for _ in range(100_000): os.kill(os.getpid(), signal.SIGTERM)\n"
+        "def count(frame, event, _, left=[%d]):\n"
+        "    left[0] -= event == 'call'\n"
+        "    if left[0] == 0:\n"
+        "        sys.setprofile(None)\n"
+        "        threading.Thread(target=signals, daemon=True).start()\n"
+        "def main(opt):\n"
+        "    sys.setprofile(count)\n"
+        "    from lib.core.compiled import numba\n"
+        "    while True:\n"
+        "        numba.njit(lambda x: 2 * x + 1)(1.0)\n"
+        "stage.run(main, argparse.ArgumentParser(prog='fit.py'))\n"
+    )
+    root = Path(stage.__file__).parents[2]
+    run = subprocess.run([sys.executable, "-c", program % calls], capture_output=True, text=True, cwd=root)
+    assert (run.returncode, run.stderr) == (143, "fit.py: terminated: nothing of it was written\n")
+
+
+def test_who_reads_no_more_ends_a_stage_in_silence():
+    """`make plan | head`."""
+    program = (
+        "from lib.core import stage\n"
+        "def main(opt):\n    while True: print('a line')\n"
+        "stage.run(main, stage.parser('x'))\n"
+    )
+    root = Path(stage.__file__).parents[2]
+    words = ["bash", "-c", '"$0" -c "$1" | head -1; exit ${PIPESTATUS[0]}', sys.executable, program]
+    run = subprocess.run(words, capture_output=True, text=True, cwd=root)
+    assert (run.returncode, run.stdout, run.stderr) == (141, "a line\n", "")
