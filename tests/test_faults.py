@@ -180,16 +180,13 @@ def test_signals_without_end_are_told_once(calls):
     No clock: the signals begin with the n-th call of a Python function.
     """
     program = (
-        "import argparse, os, signal, sys, threading\n"
+        "import argparse, os, sys\n"
         "from lib.core import stage\n"
-        "sys.setswitchinterval(1e-5)\n"
-        "def signals():\n"
-        "    for _ in range(100_000): os.kill(os.getpid(), signal.SIGTERM)\n"
         "def count(frame, event, _, left=[%d]):\n"
         "    left[0] -= event == 'call'\n"
         "    if left[0] == 0:\n"
         "        sys.setprofile(None)\n"
-        "        threading.Thread(target=signals, daemon=True).start()\n"
+        "        os.write(1, b'now')\n"
         "def main(opt):\n"
         "    sys.setprofile(count)\n"
         "    from lib.core.compiled import numba\n"
@@ -197,9 +194,13 @@ def test_signals_without_end_are_told_once(calls):
         "        numba.njit(lambda x: 2 * x + 1)(1.0)\n"
         "stage.run(main, argparse.ArgumentParser(prog='fit.py'))\n"
     )
-    root = Path(stage.__file__).parents[2]
-    run = subprocess.run([sys.executable, "-c", program % calls], capture_output=True, text=True, cwd=root)
-    assert (run.returncode, run.stderr) == (143, "fit.py: terminated: nothing of it was written\n")
+    words, root = [sys.executable, "-c", program % calls], Path(stage.__file__).parents[2]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=root) as child:
+        assert child.stdout.read(3) == "now"
+        while child.poll() is None:
+            child.send_signal(signal.SIGTERM)
+        said = child.stderr.read()
+    assert (child.returncode, said) == (143, "fit.py: terminated: nothing of it was written\n")
 
 
 def test_who_reads_no_more_ends_a_stage_in_silence():

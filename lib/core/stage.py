@@ -43,6 +43,7 @@ MENDABLE = (
 )  # by the user, if they name a file
 STOPPED = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 _asked = []  # the signals that stopped this process
+_waits = False  # a stop for code that may be interrupted
 _asked_at = 0.0  # on the monotonic clock, the last one
 PATIENCE_S = 2.0  # within which a second signal changes nothing: files are being tidied up
 DEAF = ("importlib", "llvmlite")  # in whose code no exception may be raised from without
@@ -141,17 +142,23 @@ def _stop(asked, frame):
     calls back, which would forget it: a little later. A second signal that comes soon is not heard; one that comes when
     a library has swallowed the exception is.
     """
-    global _asked_at
-    if _asked and time.monotonic() - _asked_at < PATIENCE_S:
+    global _waits
+    if _waits or _asked and time.monotonic() - _asked_at < PATIENCE_S:
         return
+    _waits = True  # before anything else: signals may come faster than they are looked at
+    _stop_now_or_later(asked, frame)
+
+
+def _stop_now_or_later(asked, frame):
+    global _waits, _asked_at
     while frame is not None:
         if any(name in frame.f_code.co_filename for name in DEAF):
-            signal.signal(signal.SIGALRM, lambda _, frame: _stop(asked, frame))
+            signal.signal(signal.SIGALRM, lambda _, frame: _stop_now_or_later(asked, frame))
             signal.setitimer(signal.ITIMER_REAL, LATER_S)
             return
         frame = frame.f_back
-    _asked_at = time.monotonic()
     _asked.append(asked)
+    _asked_at, _waits = time.monotonic(), False
     raise KeyboardInterrupt
 
 
