@@ -119,17 +119,17 @@ def format_problem(path) -> str | None:
     return None
 
 
-def read_photograph(path) -> Photograph:
+def read_photograph(path, as_stored=False) -> Photograph:
     """Read an 8- or 16-bit PNG, JPEG or TIFF, or an EXR. Truncated or damaged files are refused.
 
     The orientation that a file's EXIF notes is honoured, as viewers do: [0, 0] is the upper left corner of what they
-    show, and the camera's pixels are those.
+    show, and the camera's pixels are those. as_stored : not honoured, the pixels are the sensor's
     """
     path, turn = os.fspath(path), 1
     if path.lower().endswith(".exr"):
         values, bits = _linear_values(path), 0
     else:
-        turn = orientation(path)
+        turn = 1 if as_stored else orientation(path)
         stored = _turned(_display_values(path), turn)
         # OpenCV's BGR
         values, bits = stored[..., ::-1] / float(np.iinfo(stored.dtype).max), 8 * stored.dtype.itemsize
