@@ -84,7 +84,7 @@ def test_two_makes_at_once_do_the_work_once(toy):
     environment = {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k != "MFLAGS"}
     (toy.folder / "ran").unlink()
     both = [subprocess.Popen(words, cwd=toy.folder, stderr=subprocess.PIPE, text=True, env=environment) for _ in "ab"]
-    said = [one.communicate(timeout=100)[1] for one in both]
+    said = [one.communicate(timeout=600)[1] for one in both]
     assert [one.returncode for one in both] == [0, 0], said
     ran = (toy.folder / "ran").read_text().split()
     assert sorted(ran) == sorted(set(ran)), ran
@@ -135,7 +135,7 @@ def test_an_interrupt_waits_for_the_end_of_an_import(tmp_path):
     program = (
         "import sys, time; sys.path[:0] = [%r, %r]\n"
         "from lib.core import stage\n"
-        "def main(opt):\n    import half_loaded\n    time.sleep(5)\n"
+        "def main(opt):\n    import half_loaded\n    time.sleep(600)\n"
         "stage.run(main, stage.parser('x'))\n"
     )
     words = [sys.executable, "-c", program % (str(Path(stage.__file__).parents[2]), str(tmp_path))]
