@@ -104,7 +104,7 @@ def _calibrate(boards, corners, square_m, sizes, lens, focal, folder, trace=None
             lenses.read(model)
         except BadInput as bad:  # a solve that ran away
             raise RuntimeError(str(bad).removeprefix(f"{model}: ")) from None
-    return models, float(RMS_ERROR.findall(said)[-1])
+    return models, float((RMS_ERROR.findall(said) or ["inf"])[-1])
 
 
 RMS_ERROR = re.compile(r"RMS error: (\S+)")
