@@ -257,8 +257,13 @@ def test_what_cannot_be_computed_beside_a_calibration_keeps_it(made_corners, tmp
     broken = tmp_path / "broken.cameramodel"
     broken.write_text("no camera")
     halves = [(solution.models[0], broken)] * 2
+    spoilt = board_calibration.Solution(solution.models, halves, solution.boards, SIZES, None)
+    answer = calibration_answer.judge(spoilt, 1.0)
+    assert answer["pair"]["baseline_m"] == pytest.approx(np.linalg.norm(chessboards.RT_RIGHT_LEFT[3:]), abs=2e-3)
+    assert "mrcal cannot compute cross-validation: " in answer["verdict"] and answer["cameras"]["left"]["rms"] < 0.3
+    without = board_calibration.Solution((broken, broken), [], solution.boards, SIZES, None)
     with pytest.raises(BadInput, match="boards: how far the result can be trusted is not known: mrcal: "):
-        calibration_answer.judge(board_calibration.Solution(solution.models, halves, solution.boards, SIZES, None), 1.0)
+        calibration_answer.judge(without, 1.0)
 
 
 @pytest.mark.scene

@@ -123,6 +123,17 @@ class Attempts:
             return None
 
 
+def difference(halves, side, **options):
+    """(rows, columns, 2) px by which one camera's two halves project otherwise."""
+    return mrcal.projection_diff([mrcal.cameramodel(pair[side]) for pair in halves], **options)[1]
+
+
+def baselines(halves):
+    """m, of either half."""
+    poses = [mrcal.cameramodel(pair[1]).extrinsics_rt_fromref() for pair in halves]
+    return [float(np.linalg.norm(rt[3:])) for rt in poses]
+
+
 def judge(request):
     """request: models [left, right], halves [[left, right], [left, right]] or [], distance_m, columns.
 
@@ -148,17 +159,15 @@ def judge(request):
         sigma = attempt("uncertainty", mrcal.projection_uncertainty, v * distance, model, what="worstdirection-stdev")
         camera["uncertainty_px"] = listed(np.full(q.shape[:-1], np.nan) if sigma is None else sigma)
         if request["halves"]:
-            halves = [mrcal.cameramodel(pair[side]) for pair in request["halves"]]
             options = {"gridn_width": columns, "gridn_height": q.shape[0], "distance": distance}
-            found = attempt("cross-validation", mrcal.projection_diff, halves, **options)
+            found = attempt("cross-validation", difference, request["halves"], side, **options)
             if found is not None:
-                camera["difference_px"] = listed(found[1])
+                camera["difference_px"] = listed(found)
         answer["cameras"].append(camera)
     answer["distance_m"] = distance
     answer["pair"]["range_sigma_m"] = attempt("the range's sigma", triangulated, models, distance)
     if request["halves"]:
-        poses = [mrcal.cameramodel(pair[1]).extrinsics_rt_fromref() for pair in request["halves"]]
-        answer["pair"]["halves_baseline_m"] = [float(np.linalg.norm(rt[3:])) for rt in poses]
+        answer["pair"]["halves_baseline_m"] = attempt("the halves' baselines", baselines, request["halves"])
     answer["not_computed"] = attempt.failed
     return answer
 
