@@ -39,7 +39,7 @@ def run():
             capture_output=True,
             text=True,
             env=environment | options.pop("env", {}),
-            timeout=options.pop("timeout", 300),
+            timeout=options.pop("timeout", 1800),
             **options,
         )
 

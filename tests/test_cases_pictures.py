@@ -18,7 +18,7 @@ from PIL import Image, ImageCms, PngImagePlugin
 from lib.buffers import first_look
 from lib.core.stage import BadInput
 from lib.given import colour_profiles, exr, image, jpeg_files, materials, white_level
-from lib.vision import boards, calibration
+from lib.vision import boards
 from tests.helpers import profiles
 
 DATA = Path(__file__).parent / "data"
@@ -749,16 +749,6 @@ def test_case_40_boards_are_never_turned(tmp_path):
     assert found.seen.all() and sizes[0] == picture.shape[::-1]
     assert np.abs(found.q[0, 0] - found.q[0, 1]).max() == 0
     assert found.q[0, 0, 0, 0] == pytest.approx([50 + 23.5, 40 + 23.5], abs=0.1)
-
-
-def test_case_40_a_photograph_that_exif_turns_does_not_fit_its_boards(tmp_path):
-    exif = Image.Exif()
-    exif[274] = 3
-    (tmp_path / "left.jpg").write_bytes(jpeg(ROOM, exif=exif))
-    (tmp_path / "right.jpg").write_bytes(jpeg(ROOM))
-    with pytest.raises(BadInput, match=r"left.jpg: orientation: 3: EXIF turns .*exiftool"):
-        calibration.check_unturned("boards", (tmp_path / "left.jpg", tmp_path / "right.jpg"))
-    calibration.check_unturned("boards", (tmp_path / "right.jpg",) * 2)
 
 
 # ---- what is said ----

@@ -174,7 +174,7 @@ def test_the_page_s_view_shows_pixels(exported, tmp_path):  # noqa: F811
         argv += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--enable-logging=stderr"]
         argv += ["--window-size=800,1000", f"--screenshot={tmp_path / 'page.png'}"]
         argv += [f"http://127.0.0.1:{server.server_port}/"]
-        done = subprocess.run(argv, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(argv, capture_output=True, text=True, timeout=900)
         server.shutdown()
     assert "CONSOLE" not in done.stderr, done.stderr
     shown = image.read_photograph(tmp_path / "page.png").values

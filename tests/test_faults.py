@@ -84,7 +84,7 @@ def test_two_makes_at_once_do_the_work_once(toy):
     environment = {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k != "MFLAGS"}
     (toy.folder / "ran").unlink()
     both = [subprocess.Popen(words, cwd=toy.folder, stderr=subprocess.PIPE, text=True, env=environment) for _ in "ab"]
-    said = [one.communicate(timeout=100)[1] for one in both]
+    said = [one.communicate(timeout=600)[1] for one in both]
     assert [one.returncode for one in both] == [0, 0], said
     ran = (toy.folder / "ran").read_text().split()
     assert sorted(ran) == sorted(set(ran)), ran
@@ -135,7 +135,7 @@ def test_an_interrupt_waits_for_the_end_of_an_import(tmp_path):
     program = (
         "import sys, time; sys.path[:0] = [%r, %r]\n"
         "from lib.core import stage\n"
-        "def main(opt):\n    import half_loaded\n    time.sleep(5)\n"
+        "def main(opt):\n    import half_loaded\n    time.sleep(600)\n"
         "stage.run(main, stage.parser('x'))\n"
     )
     words = [sys.executable, "-c", program % (str(Path(stage.__file__).parents[2]), str(tmp_path))]
@@ -171,3 +171,46 @@ def test_a_plan_that_is_interrupted_says_one_line():
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root)
     assert run.returncode == 130 and run.stderr == "plan.py: interrupted: nothing of it was written\n"
+
+
+@pytest.mark.parametrize("calls", [100, 3_000, 30_000, 300_000])
+def test_signals_without_end_are_told_once(calls):
+    """While it imports, while kernels compile, while it says that it stops: two tracebacks came of a second signal.
+
+    No clock: the signals begin with the n-th call of a Python function.
+    """
+    program = (
+        "import argparse, os, sys\n"
+        "from lib.core import stage\n"
+        "def count(frame, event, _, left=[%d]):\n"
+        "    left[0] -= event == 'call'\n"
+        "    if left[0] == 0:\n"
+        "        sys.setprofile(None)\n"
+        "        os.write(1, b'now')\n"
+        "def main(opt):\n"
+        "    sys.setprofile(count)\n"
+        "    from lib.core.compiled import numba\n"
+        "    while True:\n"
+        "        numba.njit(lambda x: 2 * x + 1)(1.0)\n"
+        "stage.run(main, argparse.ArgumentParser(prog='fit.py'))\n"
+    )
+    words, root = [sys.executable, "-c", program % calls], Path(stage.__file__).parents[2]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=root) as child:
+        assert child.stdout.read(3) == "now"
+        while child.poll() is None:
+            child.send_signal(signal.SIGTERM)
+        said = child.stderr.read()
+    assert (child.returncode, said) == (143, "fit.py: terminated: nothing of it was written\n")
+
+
+def test_who_reads_no_more_ends_a_stage_in_silence():
+    """`make plan | head`."""
+    program = (
+        "from lib.core import stage\n"
+        "def main(opt):\n    while True: print('a line')\n"
+        "stage.run(main, stage.parser('x'))\n"
+    )
+    root = Path(stage.__file__).parents[2]
+    words = ["bash", "-c", '"$0" -c "$1" | head -1; exit ${PIPESTATUS[0]}', sys.executable, program]
+    run = subprocess.run(words, capture_output=True, text=True, cwd=root)
+    assert (run.returncode, run.stdout, run.stderr) == (141, "a line\n", "")

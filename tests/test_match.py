@@ -2,7 +2,6 @@
 
 import csv
 import json
-import time
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from lib.vision import matching
 from lib.vision import matching_kernels as kernels
 from lib.vision.matches import read_matched_labels
 from tests.helpers import pairs
+from tests.helpers.growth import growth
 from tests.helpers.pairs import parallel
 
 
@@ -174,20 +174,31 @@ def test_nothing_labelled():
     assert len(matches.left) == 0 and not matches.refused_left
 
 
-def test_ten_thousand_regions_in_seconds():
-    """100 x 100 tiles of random colour, 7 px apart: none wrong, in less than 10 s (2 s without compilation)."""
-    rng = np.random.default_rng(0)
-    left, right = parallel(1207, 1000, 900.0, 0.1)
-    tile = (np.arange(1000)[:, None] // 10) * 100 + np.arange(1200)[None] // 12
-    colour = rng.uniform(0, 1, (10000, 3))
-    labels = [np.zeros((1000, 1207), np.int32), np.zeros((1000, 1207), np.int32)]
-    labels[0][:, 7:], labels[1][:, :1200] = tile + 1, tile + 1
-    values = [np.where(x[..., None] > 0, colour[np.maximum(x - 1, 0)], 0.0) for x in labels]
-    begin = time.perf_counter()
-    matches = matching.match(matching.stereo(left, right), *labels, *values)
-    assert time.perf_counter() - begin < 10
-    assert (matches.left == matches.right).all()
-    assert len(matches.left) > 5000
+def tiles(side):
+    """side x side tiles of random colour, 12 x 10 px each, 7 px apart: labels and values of both pictures."""
+    height, width = 10 * side, 12 * side
+    tile = (np.arange(height)[:, None] // 10) * side + np.arange(width)[None] // 12
+    colour = np.random.default_rng(0).uniform(0, 1, (side * side, 3))
+    labels = [np.zeros((height, width + 7), np.int32), np.zeros((height, width + 7), np.int32)]
+    labels[0][:, 7:], labels[1][:, :width] = tile + 1, tile + 1
+    return labels, [np.where(x[..., None] > 0, colour[np.maximum(x - 1, 0)], 0.0) for x in labels]
+
+
+def match_tiles(labels, values):
+    height, width = labels[0].shape
+    return matching.match(matching.stereo(*parallel(width, height, 900.0, 0.1)), *labels, *values)
+
+
+def test_ten_thousand_regions():
+    """None wrong; and four times as many regions cost eight times as much at most, for the rows are twice as long.
+
+    All pairs of a picture would cost sixteen times as much.
+    """
+    found = match_tiles(*tiles(100))
+    assert (found.left == found.right).all()
+    assert len(found.left) > 5000
+    few, many = tiles(25), tiles(50)
+    assert growth(lambda: match_tiles(*few), lambda: match_tiles(*many)) < 13
 
 
 def test_forward_motion_is_refused_region_by_region():

@@ -130,7 +130,7 @@ def test_an_interrupted_stage_says_so_in_one_line(root, sign):
     )
     assert process.stdout.readline() == "on\n"
     process.send_signal(sign)
-    _, said = process.communicate(timeout=20)
+    _, said = process.communicate(timeout=600)
     assert process.returncode == 128 + sign
     assert len(said.splitlines()) == 1 and "nothing of it was written" in said
 

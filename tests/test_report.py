@@ -136,7 +136,7 @@ def test_a_signal_leaves_nothing_under_the_outputs_names(small, tmp_path, number
     artefact.remove_partials(tmp_path / "out")  # of a stage that is running: stays
     assert len(outputs(tmp_path)) == 1
     process.send_signal(number)
-    assert process.wait(20) != 0
+    assert process.wait(600) != 0
     assert ["partial" for name in outputs(tmp_path) if ".partial-" in name] == left and not {
         "b.txt",
         "small.report.json",
@@ -243,10 +243,9 @@ def test_what_is_excluded_counts_nowhere_else(tmp_path):
                 report.trace(image_rms=0.5)
         report.trace(iteration=7, image_rms=0.25)
     r = artefact.read_json(tmp_path / "r.json")
-    assert r["cpu_s"] == pytest.approx(0.05, abs=0.04) and r["timings"]["solve"]["cpu_s"] == pytest.approx(
-        0.05, abs=0.03
-    )
-    assert r["imports_s"] >= 0.1 and r["compile_s"] == pytest.approx(0.1, abs=0.03)
+    # what is excluded, 0.2 s, is in neither; what a slow machine spends on the report itself may be
+    assert 0.045 < r["cpu_s"] < 0.15 and 0.045 < r["timings"]["solve"]["cpu_s"] < 0.15
+    assert r["imports_s"] >= 0.1 and 0.095 < r["compile_s"] < 0.2
     assert [t["iteration"] for t in r["trace"]] == [0, 7] and r["trace"][0]["cpu_s"] <= r["trace"][1]["cpu_s"] <= r[
         "cpu_s"
     ] + 1e-9
@@ -269,7 +268,8 @@ def test_what_loads_itself_is_listed_apart(run, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     r = artefact.read_json(tmp_path / "r.json")
-    assert r["compile_s"] > 0.01 and r["imports_s"] > 0.2 and r["timings"]["work"]["cpu_s"] < 0.05
+    apart = r["compile_s"] + r["imports_s"]
+    assert min(r["compile_s"], r["imports_s"]) > 0 and r["timings"]["work"]["cpu_s"] < 0.2 * apart
 
 
 def test_child_processes_count(tmp_path):
@@ -305,9 +305,9 @@ def test_a_bar_shows_the_share_and_goes_away(capsys, monkeypatch):
 
 @pytest.mark.scene
 def test_what_a_user_waits_is_all_listed(small, run, tmp_path):
-    """What is counted and what is listed apart is the time on a clock beside the process, within 0.1 s.
+    """What is counted and what is listed apart is the time on a clock beside the process, but for Python's own start.
 
-    The best of three, for the machine may be busy.
+    The best of three, for the machine may be busy; a bare start beside each tells how slow it is.
     """
     body = """
 with report.excluded("imports"):
@@ -315,17 +315,20 @@ with report.excluded("imports"):
 with report.excluded("compile"):
     numba.njit(lambda x: x + 1)(1.0)
 time.sleep(0.2)"""
-    words, missing = small(body), []
+    words, missing, starts = small(body), [], []
     for _ in range(3):
+        begin = time.monotonic()
+        assert run("-c", "import argparse, json, pathlib").returncode == 0
+        starts.append(time.monotonic() - begin)
         begin = time.monotonic()
         assert run(*words).returncode == 0
         real = time.monotonic() - begin
         report = artefact.read_json(tmp_path / "out/small.report.json")
         listed = sum(value for key, value in report.items() if key.endswith("wall_s"))
-        assert report["waited_s"] == pytest.approx(listed) and report["wall_s"] == pytest.approx(0.2, abs=0.1)
+        assert report["waited_s"] == pytest.approx(listed) and 0.2 <= report["wall_s"] <= real
         assert {"imports_wall_s", "compile_wall_s", "hashing_wall_s"} < report.keys()
         missing.append(real - report["waited_s"])
-    assert -0.03 < min(missing) < 0.1, missing
+    assert -0.03 < min(missing) < 3 * max(starts), (missing, starts)
 
 
 def test_a_stage_called_from_python_does_not_end_the_process():

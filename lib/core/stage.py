@@ -43,6 +43,9 @@ MENDABLE = (
 )  # by the user, if they name a file
 STOPPED = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 _asked = []  # the signals that stopped this process
+_waits = False  # a stop for code that may be interrupted
+_asked_at = 0.0  # on the monotonic clock, the last one
+PATIENCE_S = 2.0  # within which a second signal changes nothing: files are being tidied up
 DEAF = ("importlib", "llvmlite")  # in whose code no exception may be raised from without
 LATER_S = 0.05  # after which a stage that was in such code is asked again to stop
 LACKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENOMEM, errno.EMFILE)  # of the machine
@@ -52,42 +55,59 @@ def run(main, parser, argv=None):
     """Parse argv and call main(opt).
 
     Bad input: one line per problem on stderr, exit status 2.  What the machine lacks, room or memory: one line, exit
-    status 1.  A bug keeps its traceback.  Without argv this is the process's own command, and the process ends here.
+    status 1.  A bug keeps its traceback.  Without argv this is the process's own command, and the process ends here:
+    from the end of main on it hears no signal, so that what it says is said once.
     """
     name = os.path.basename(parser.prog)
+    own = argv is None
+    try:
+        for asked in STOPPED:
+            signal.signal(asked, _stop)
+        status, problems = _outcome(main, parser, argv)
+        if own:
+            _deafen()
+    except KeyboardInterrupt:
+        while own:
+            try:
+                _deafen()
+                break
+            except KeyboardInterrupt:  # another, before it was deaf
+                continue
+        sys.exit(_told(name, _asked[0] if _asked else signal.SIGINT))
+    for problem in problems:
+        print(f"{name}: {problem}", file=sys.stderr)
+    if status:
+        sys.exit(status)
+    if own:
+        _end_at_once()
+
+
+def _outcome(main, parser, argv):
+    """(exit status, what is wrong) of main, run on argv."""
     # one line, no usage
-    parser.error = lambda message: parser.exit(2, f"{name}: {message} (--help lists the options)\n")
+    parser.error = lambda message: parser.exit(
+        2, f"{os.path.basename(parser.prog)}: {message} (--help lists the options)\n"
+    )
     opt = parser.parse_args(argv)
     _forget_missing(opt)
-    for asked in STOPPED:
-        signal.signal(asked, _stop)
-    status = 2
     try:
         _unless_stopped(main, opt)
     except BadInput as bad:
-        problems = bad.problems
+        return 2, bad.problems
     except MENDABLE as error:
         if error.filename is None:
             raise
-        problems = (f"{os.fsdecode(error.filename)}: {error.strerror}",)
+        return 2, (f"{os.fsdecode(error.filename)}: {error.strerror}",)
     except MemoryError:
-        status, problems = 1, ("there is not enough memory: nothing of it was written",)
+        return 1, ("there is not enough memory: nothing of it was written",)
+    except BrokenPipeError:  # who read what is printed has gone: `make plan | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE, ()
     except OSError as error:
         if error.errno not in LACKS or error.filename is None:
             raise
-        status, problems = 1, (f"{os.fsdecode(error.filename)}: {error.strerror}: nothing of it was written",)
-    except KeyboardInterrupt:
-        sys.exit(_told(name, _asked[0] if _asked else signal.SIGINT))
-    except BrokenPipeError:  # who read what is printed has gone: `make plan | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(128 + signal.SIGPIPE)
-    else:
-        if argv is None:
-            _end_at_once()
-        return
-    for problem in problems:
-        print(f"{name}: {problem}", file=sys.stderr)
-    sys.exit(status)
+        return 1, (f"{os.fsdecode(error.filename)}: {error.strerror}: nothing of it was written",)
+    return 0, ()
 
 
 def _told(name, asked):
@@ -96,25 +116,49 @@ def _told(name, asked):
     return 128 + asked
 
 
+def _deafen():
+    """Nothing stops the process from here on, nor an alarm that a stop has set."""
+    for asked in (*STOPPED, signal.SIGALRM):
+        signal.signal(asked, signal.SIG_IGN)
+    signal.setitimer(signal.ITIMER_REAL, 0)
+
+
 def listen(name):
     """Until `run`, while a program still imports: where it is asked to stop it ends at once, in one line."""
+
+    def at_once(asked, _):
+        if not _asked:  # another one waits until the line is out
+            _asked.append(asked)
+            os._exit(_told(name, asked))
+
     for asked in STOPPED:
-        signal.signal(asked, lambda asked, _: os._exit(_told(name, asked)))
+        signal.signal(asked, at_once)
 
 
 def _stop(asked, frame):
     """By an exception, so that `artefact.writing` removes its temporary files.
 
     Not within an import, which would make an ImportError of it as where a package is missing, nor where a compiler
-    calls back, which would forget it: a little later.
+    calls back, which would forget it: a little later. A second signal that comes soon is not heard; one that comes when
+    a library has swallowed the exception is.
     """
+    global _waits
+    if _waits or _asked and time.monotonic() - _asked_at < PATIENCE_S:
+        return
+    _waits = True  # before anything else: signals may come faster than they are looked at
+    _stop_now_or_later(asked, frame)
+
+
+def _stop_now_or_later(asked, frame):
+    global _waits, _asked_at
     while frame is not None:
         if any(name in frame.f_code.co_filename for name in DEAF):
-            signal.signal(signal.SIGALRM, lambda _, frame: _stop(asked, frame))
+            signal.signal(signal.SIGALRM, lambda _, frame: _stop_now_or_later(asked, frame))
             signal.setitimer(signal.ITIMER_REAL, LATER_S)
             return
         frame = frame.f_back
     _asked.append(asked)
+    _asked_at, _waits = time.monotonic(), False
     raise KeyboardInterrupt
 
 

@@ -106,8 +106,40 @@ def triangulated(models, distance):
     return float(np.sqrt(max(0, v @ variance.reshape(3, 3) @ v)))
 
 
+class Attempts:
+    """Calls of which each may fail without the others: what went wrong is kept in words."""
+
+    def __init__(self):
+        self.failed = []
+
+    def __call__(self, what, function, /, *arguments, **options):
+        """What function returns; None where mrcal refuses, whatever it raises."""
+        try:
+            return function(*arguments, **options)
+        except Exception as error:
+            words = (" ".join(str(error).split()) or type(error).__name__)[:200]
+            if f"{what}: {words}" not in self.failed:
+                self.failed.append(f"{what}: {words}")
+            return None
+
+
+def difference(halves, side, **options):
+    """(rows, columns, 2) px by which one camera's two halves project otherwise."""
+    return mrcal.projection_diff([mrcal.cameramodel(pair[side]) for pair in halves], **options)[1]
+
+
+def baselines(halves):
+    """m, of either half."""
+    poses = [mrcal.cameramodel(pair[1]).extrinsics_rt_fromref() for pair in halves]
+    return [float(np.linalg.norm(rt[3:])) for rt in poses]
+
+
 def judge(request):
-    """request: models [left, right], halves [[left, right], [left, right]] or [], distance_m, columns."""
+    """request: models [left, right], halves [[left, right], [left, right]] or [], distance_m, columns.
+
+    Without the relative pose and what the boards say there is no answer. Of the rest each may fail: `not_computed`.
+    """
+    attempt = Attempts()
     models = [mrcal.cameramodel(path) for path in request["models"]]
     distance, columns = request["distance_m"], request["columns"]
     answer = {"cameras": [], "pair": relative(models)}
@@ -124,21 +156,19 @@ def judge(request):
         }
         if distance is None:
             distance = float(np.median([view["distance_m"] for view in camera["views"]]))
-        camera["uncertainty_px"] = listed(
-            mrcal.projection_uncertainty(v * distance, model, what="worstdirection-stdev")
-        )
+        sigma = attempt("uncertainty", mrcal.projection_uncertainty, v * distance, model, what="worstdirection-stdev")
+        camera["uncertainty_px"] = listed(np.full(q.shape[:-1], np.nan) if sigma is None else sigma)
         if request["halves"]:
-            halves = [mrcal.cameramodel(pair[side]) for pair in request["halves"]]
-            difference = mrcal.projection_diff(halves, gridn_width=columns, gridn_height=q.shape[0], distance=distance)[
-                1
-            ]
-            camera["difference_px"] = listed(difference)
+            options = {"gridn_width": columns, "gridn_height": q.shape[0], "distance": distance}
+            found = attempt("cross-validation", difference, request["halves"], side, **options)
+            if found is not None:
+                camera["difference_px"] = listed(found)
         answer["cameras"].append(camera)
     answer["distance_m"] = distance
-    answer["pair"]["range_sigma_m"] = triangulated(models, distance)
+    answer["pair"]["range_sigma_m"] = attempt("the range's sigma", triangulated, models, distance)
     if request["halves"]:
-        poses = [mrcal.cameramodel(pair[1]).extrinsics_rt_fromref() for pair in request["halves"]]
-        answer["pair"]["halves_baseline_m"] = [float(np.linalg.norm(rt[3:])) for rt in poses]
+        answer["pair"]["halves_baseline_m"] = attempt("the halves' baselines", baselines, request["halves"])
+    answer["not_computed"] = attempt.failed
     return answer
 
 

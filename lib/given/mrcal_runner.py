@@ -1,7 +1,7 @@
 """mrcal at arm's length: Debian's cannot be imported beside NumPy 2, so its own interpreter runs it.
 
-process("judge", "request.json", "answer.json")         # mrcal_process.py, for mrcal's Python functions
-run([COMMAND, ...], folder)                             # one of mrcal's own commands
+process("judge", "request.json", "answer.json", of="boards")    # mrcal_process.py, for mrcal's Python functions
+run([COMMAND, ...], folder)                                     # one of mrcal's own commands
 """
 
 import os
@@ -27,14 +27,17 @@ def interpreter():
     return first[2:].split() if first.startswith("#!") else ["/usr/bin/python3"]
 
 
-def process(*arguments):
-    """Run lib/given/mrcal_process.py under mrcal's interpreter; RuntimeError with its last line where it fails."""
+def process(*arguments, of=None):
+    """Run lib/given/mrcal_process.py under mrcal's interpreter; BadInput with its last line where it fails.
+
+    of : what of the user's files it is about, for the message; by itself the first file
+    """
     script = Path(__file__).with_name("mrcal_process.py")
     run = subprocess.run(
         [*interpreter(), script, *map(str, arguments)], capture_output=True, text=True, env=environment()
     )
     if run.returncode:
-        raise RuntimeError(f"mrcal: {last_line(run.stderr)}")
+        raise BadInput(f"{of or arguments[1]}: mrcal: {last_line(run.stderr)}")
 
 
 def run(argv, folder, told=None):
@@ -51,7 +54,7 @@ def run(argv, folder, told=None):
                 told(line.strip(), cpu_s(child.pid))
     said = "".join(lines)
     if child.returncode:
-        raise RuntimeError(last_line(said))
+        raise RuntimeError(last_line(said.replace(f"{folder}{os.sep}", "")))
     return said
 
 

@@ -9,6 +9,7 @@ The walk is in walk.py, the command lines in command.py, the text of plan.mk in 
 """
 
 import argparse
+import re
 import sys
 from pathlib import Path
 
@@ -23,24 +24,9 @@ from lib.planning.pipeline import read_pipeline
 from lib.planning.rules import NAME
 from lib.planning.walk import explain, overview, walk
 
-TARGETS = (
-    "all",
-    "plan",
-    "new-scene",
-    "check",
-    "lint",
-    "test",
-    "test-slow",
-    "verify",
-    "verify-long",
-    "bench",
-    "scenes",
-    "doctor",
-    "help",
-    "clean",
-    "setup",
-    "demo",
-)  # of the Makefile
+ROOT = Path(__file__).resolve().parents[2]
+# What the Makefile makes beside scenes, as it lists them there
+TARGETS = tuple(re.search(r"^TARGETS := (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)[1].split())
 
 
 def check_name(data, name) -> Path:

@@ -5,7 +5,9 @@ each, `<folder>/scene.yaml: field: value ...`.  What the contract allows but is 
 line that says so.  Only PyYAML is needed.
 """
 
+import os
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from lib.core.stage import BadInput
@@ -79,11 +81,19 @@ class Scene:
 
     def candidates(self, file) -> list[Path]:
         """All files in the folder that `file` may mean."""
-        paths = [self.folder / name for name in alternatives(file)]
+        paths = [self.folder / name for name in alternatives(file) if name.split("/", 1)[0] in self._listed]
         return [p for p in paths if (p.is_dir() if file.endswith("/") else p.is_file())]
 
-    @property
-    def views(self):
+    @cached_property
+    def _listed(self) -> frozenset[str]:
+        """What lies in the folder, listed once: a plan asks thousands of times for files that are not there."""
+        try:
+            return frozenset([*os.listdir(self.folder), os.curdir])
+        except (FileNotFoundError, NotADirectoryError):
+            return frozenset()
+
+    @cached_property
+    def views(self) -> dict[str, str]:
         """What pipeline.yaml's <model>, <left>, <left camera> and so on are in this scene (`views` below)."""
         curve = self.transfer.get("curve", NO_FILE) if isinstance(self.transfer, dict) else NO_FILE
         drawn = MODEL if self.fact("unit") == "m" else IN_METRES

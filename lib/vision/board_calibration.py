@@ -14,12 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from lib.core.stage import BadInput
-from lib.given import image, mrcal_runner
+from lib.given import image, lenses, mrcal_runner
+from lib.vision import board_checks
 from lib.vision import boards as files
 from lib.vision.boards import SIDES
 
 LEAST = 6  # shots that allow two halves of three
 FOCAL_FACTORS = (1.0, 0.6, 1.7)  # of the guess, tried one after the other
+AGREE = 1.0  # px RMS in pictures 1000 px wide below which boards agree, whatever a rough look says
 SOLVED_PX = 3.0  # RMS from which on a solve led nowhere: its residuals are a twentieth of a square
 
 
@@ -65,7 +67,9 @@ def focal_guess(boards, corners, sizes):
 
 
 def _calibrate(boards, corners, square_m, sizes, lens, focal, folder, trace=None):
-    """((left, right) .cameramodel in folder, RMS px) of one run of mrcal. RuntimeError: mrcal's last line.
+    """((left, right) .cameramodel in folder, RMS px) of one run of mrcal.
+
+    RuntimeError: mrcal's last line, or why what it wrote is no lens.
 
     focal : (left, right) px, to start from; trace : called with (step, RMS px, CPU s of mrcal's process until then)
     """
@@ -95,7 +99,12 @@ def _calibrate(boards, corners, square_m, sizes, lens, focal, folder, trace=None
     models = tuple(folder / f"camera0-{side}.cameramodel" for side in (0, 1))
     if not all(model.is_file() for model in models):
         raise RuntimeError(mrcal_runner.last_line(said))
-    return models, float(RMS_ERROR.findall(said)[-1])
+    for model in models:
+        try:
+            lenses.read(model)
+        except BadInput as bad:  # a solve that ran away
+            raise RuntimeError(str(bad).removeprefix(f"{model}: ")) from None
+    return models, float((RMS_ERROR.findall(said) or ["inf"])[-1])
 
 
 RMS_ERROR = re.compile(r"RMS error: (\S+)")
@@ -138,6 +147,9 @@ def solve(boards, corners, square_m, sizes, lens, folder, halves=True, trace=Non
         parts, why = [], why or "it was not asked for"
     sets = [_shots(boards, which) for which in (some, *parts)]
     focal = focal_guess(boards, corners, sizes)
+    board_checks.check_views(boards)
+    if doubt := board_checks.contradiction(boards, corners, focal, sizes):
+        _refuse_unless_solved(doubt, sets[0], corners, square_m, sizes, lens, focal, Path(folder) / "doubt")
 
     def run(number):
         """(models, RMS) or None, and what mrcal said last where it failed. The trace is that of all boards."""
@@ -148,11 +160,24 @@ def solve(boards, corners, square_m, sizes, lens, folder, halves=True, trace=Non
         results = list(pool.map(run, range(len(sets))))
     best, said = results[0]
     if best is None:
-        raise BadInput(f"boards: mrcal cannot solve {lens} from {len(some)} boards: {said}")
+        raise BadInput(
+            f"boards: mrcal cannot solve {lens} from {len(some)} boards: {said}: more boards, tilted otherwise, or a "
+            "simpler lens (lens: LENSMODEL_OPENCV4 in scene.yaml) may do"
+        )
     if any(result is None for result, _ in results[1:]):
         why = f"mrcal cannot solve {lens} from half the boards"
     models = [result[0] for result, _ in results[1:]] if why is None else []
     return Solution(best[0], models, sets[0], sizes, why)
+
+
+def _refuse_unless_solved(doubt, boards, corners, square_m, sizes, lens, focal, folder):
+    """BadInput(doubt) where one run of mrcal cannot make the boards agree."""
+    try:
+        rms_px = _calibrate(boards, corners, square_m, sizes, lens, focal, folder)[1]
+    except RuntimeError:
+        raise BadInput(doubt) from None
+    if not rms_px < AGREE * max(1.0, max(map(max, sizes)) / 1000):
+        raise BadInput(doubt)
 
 
 def _check_seen(seen, corners):

@@ -176,7 +176,7 @@ def _saddle_picture(p, state, turn):
 def grey8(path, as_stored=False):
     """(H, W) uint8 of a photograph of any depth; linear light is shown with gamma 2.2.
 
-    as_stored : as the sensor has it, whatever EXIF says of how the camera was held
+    as_stored : the sensor's pixels, whatever orientation the file notes
     """
     photograph = pictures.read_photograph(path, as_stored)
     grey = photograph.values.mean(-1)
@@ -257,10 +257,9 @@ def pairs(folder):
 
 
 def detect(shots, corners, progress=None):
-    """Boards of the shots ((left path, right path), ...), and the sizes ((w, h), (w, h)).
+    """Boards of the shots ((left path, right path), ...) in the sensors' pixels, and the sizes ((w, h), (w, h)).
 
-    Shots are never turned: a lens belongs to the sensor. Over a table a phone notes any orientation.
-
+    What EXIF notes of the orientation is not read: phones note it anew for each shot, and a lens belongs to the sensor.
     progress : called with the share that is done. BadInput: an image that cannot be read, or images of several sizes
     """
     import cv2
@@ -295,6 +294,21 @@ def detect(shots, corners, progress=None):
                 q[side, n] = corner
     names = tuple(tuple(shot[side].name for shot in shots) for side in (0, 1))
     return Boards(names, q, np.zeros(q.shape[:-1])), sizes
+
+
+def as_shown(boards, sizes, turns):
+    """(Boards, sizes) in the pixels that viewers show, of those in the sensors'.
+
+    turns : (left, right) orientations, 1 to 8 as EXIF has them
+    """
+    q, shown = boards.q.copy(), []
+    for side, turn in enumerate(turns):
+        swapped, rows, columns = pictures.TURNS[turn]
+        width, height = sizes[side][::-1] if swapped else sizes[side]
+        x, y = np.moveaxis(boards.q[side][..., ::-1] if swapped else boards.q[side], -1, 0)
+        q[side] = np.stack([width - 1 - x if columns else x, height - 1 - y if rows else y], -1)
+        shown.append((width, height))
+    return Boards(boards.names, q, boards.level), tuple(shown)
 
 
 def _one_size(found, paths):

@@ -14,7 +14,7 @@ import numpy as np
 from lib.core import artefact
 from lib.core.stage import BadInput, Bar
 from lib.given import image, lenses, mrcal_runner
-from lib.vision import autocalibration, board_calibration, calibration_answer, orientation
+from lib.vision import autocalibration, board_calibration, board_checks, calibration_answer, orientation
 from lib.vision import boards as files
 from lib.vision.boards import SIDES
 from lib.vision.calibration_answer import CENTRE, two_digits
@@ -71,7 +71,6 @@ def from_boards(folder, board, lens, photographs, report, scratch) -> Calibratio
     """
     mrcal_runner.require_mrcal()
     lenses.check_name(lens, "lens")
-    check_unturned(folder, photographs)
     if board is None:
         raise BadInput(f"{folder}: board: its corners and squares are not known (scene.yaml: board)")
     corners, square_m = tuple(board["corners"]), float(board["square_m"])
@@ -79,11 +78,18 @@ def from_boards(folder, board, lens, photographs, report, scratch) -> Calibratio
     with report.timing("corners"):
         if listed.is_file():
             found = files.read_vnl(listed, corners)
+            board_checks.check_order(listed, found, corners)
             sizes = _sizes(folder, photographs)
         else:
-            found, sizes = files.detect(files.pairs(folder), corners, Bar("corners"))
+            shots = files.pairs(folder)
+            _warn_of_turns(shots, report)
+            board_checks.check_counts([path for shot in shots for path in shot], corners)
+            found, sizes = files.detect(shots, corners, Bar("corners"))
+        # the lens is wanted for the photographs as they are shown
+        turns = [image.orientation(path) for path in photographs] if photographs else (1, 1)
+        shown, sizes = files.as_shown(found, sizes, turns)
     with report.timing("solve"):
-        solution = board_calibration.solve(found, corners, square_m, sizes, lens, scratch, trace=_traced(report))
+        solution = board_calibration.solve(shown, corners, square_m, sizes, lens, scratch, trace=_traced(report))
     _warn_of_blanks(found, report)
     with report.timing("distance"):
         distance_m = scene_distance(solution.models, photographs) if photographs else None
@@ -97,6 +103,16 @@ def _traced(report):
     return lambda step, rms_px, cpu_s: report.trace(step=step, rms_px=rms_px, cpu_s=report.clocks().cpu + cpu_s)
 
 
+def _warn_of_turns(shots, report):
+    """Pictures of boards whose orientation is not read."""
+    for side, paths in zip(SIDES, zip(*shots, strict=True), strict=True):
+        if noted := sum(image.orientation(path) != 1 for path in paths):
+            why = "a lens belongs to the sensor"
+            report.warning(
+                f"{side}: {noted} of {len(paths)} pictures of boards note an orientation: not read, for {why}"
+            )
+
+
 def _warn_of_blanks(found, report):
     """Images in which no board was found."""
     for side, seen in enumerate(found.seen):
@@ -106,20 +122,9 @@ def _warn_of_blanks(found, report):
             report.warning(f"{SIDES[side]}: no board found in {len(blank)} of {len(seen)} images: {named}")
 
 
-def check_unturned(folder, photographs):
-    """BadInput: a photograph that EXIF turns. The boards' lens is that of the sensor's own pixels: it would not fit."""
-    problems = [
-        f"{path}: orientation: {turn}: EXIF turns the photograph, and the lens of {folder} is that of the sensor's own "
-        "pixels: set its orientation to 1 (exiftool -n -Orientation=1), and pick in the picture that shows then"
-        for path in photographs or ()
-        if (turn := image.orientation(path)) != 1
-    ]
-    if problems:
-        raise BadInput(*problems)
-
-
 def _sizes(folder, photographs):
-    """((w, h), (w, h)) where only corners are given: of a board's image if there is one, else of the photographs."""
+    """((w, h), (w, h)) of the sensors where only corners are given: of a board's image if there is one, else of the
+    photographs."""
     sizes = []
     for side, name in enumerate(SIDES):
         shots = files.images(folder, name)

@@ -28,7 +28,7 @@ CORNERS = {"top left": (0, 0), "top right": (0, -1), "bottom left": (-1, 0), "bo
 
 
 def judge(solution, distance_m=None):
-    """What calibration.json says, a dictionary.
+    """What calibration.json says, a dictionary. BadInput where mrcal cannot say it.
 
     solution : board_calibration.Solution; distance_m : of the scene, or None for the boards' own
     """
@@ -41,7 +41,7 @@ def judge(solution, distance_m=None):
         "columns": COLUMNS,
     }
     request.write_text(json.dumps(asked), encoding="utf-8")
-    mrcal_runner.process("judge", request, answer)
+    mrcal_runner.process("judge", request, answer, of="boards: how far the result can be trusted is not known")
     raw = json.loads(answer.read_text(encoding="utf-8"))
     return _answer(solution, raw, "scene" if distance_m is not None else "boards")
 
@@ -62,6 +62,7 @@ def _answer(solution, raw, distance_of):
         "cameras": cameras,
         "pair": _pair(raw["pair"]),
         "no_cross_validation": solution.why_no_halves,
+        "not_computed": raw["not_computed"],
     }
     answer["good_to_px"], answer["verdict"], answer["reasons"] = verdict(answer)
     return answer
@@ -256,6 +257,7 @@ def verdict(answer):
         reason for name, camera in answer["cameras"].items() for reason in _of_camera(name, camera, doubts[name])
     ]
     reasons += _of_pair(answer)
+    reasons += [f"mrcal cannot compute {what}" for what in answer["not_computed"]]
     worst = [doubt.worst for doubt in doubts.values()]
     good = None if None in worst else max(worst)
     return good, "; ".join([_headline(good, answer), *reasons]), reasons
