@@ -72,10 +72,20 @@ def test_the_page_of_readers_is_what_the_readers_say(root):
 NOT_BUILT = {
     "RAW": (r"\bRAW\b(?! file a 16-bit TIFF)", {"left.dng": b"II*"}, "RAW is not read yet"),
     "brackets/": (r"\bbrackets?\b|exposure series", None, None),
-    "colorchecker": (r"colou?r ?checker", "colorchecker: auto", "colorchecker"),
+    "colorchecker": (r"colou?r ?checker", "colorchecker: auto", 'colorchecker: "auto" is not built yet'),
+    "sky": (r"`sky`|daylight is", "sky: unknown", 'sky: "unknown" is not built yet'),
+    "materials": (r"one material in several", "materials: {wall: attic}", "is not built yet"),
+    "glass": (r"\bglass\b", "surfaces: {wall: glass}", 'surfaces.wall: "glass" is not built yet'),
     "gradient": (r"\bgradient", "lamps: {lamp: {emittance: unknown, gradient: unknown}}", "lamps.lamp.gradient"),
     "lobe": (r"\bIES\b", "lamps: {lamp: {emittance: unknown, lobe: {ies: a.ies}}}", "lamps.lamp.lobe.ies"),
     "fog": (r"\bfogs?\b", "explain: [fog]", 'explain: "fog" is not built yet'),
+    "sweep": (r"/sweep\b", None, None),
+    "figures": (r"make \w+/figures", None, None),
+    "many": (r"make many", None, None),
+    "approximate": (r"\bapproximate\b", None, None),
+    "map_Kd": (r"map_Kd", None, None),
+    "baseColorTexture": (r"baseColorTexture", None, None),
+    **dict.fromkeys(("surfaces", "to", "model_error", "does not fit")),
     **dict.fromkeys(("materials.json", "explain", "explained", "noise", "photos/", "photos.json", "photos", "lamps")),
 }
 
