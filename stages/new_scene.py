@@ -33,6 +33,7 @@ def options():
 
 
 def main(opt):
+    from lib.buffers.opengl import NoGraphics
     from lib.given import new_scene
     from lib.planning.plan import TARGETS
     from lib.planning.rules import NAME
@@ -58,13 +59,22 @@ def main(opt):
     ]
     if absent:
         raise stage.BadInput(*absent)
+
+    def seen(*view):
+        from lib.vision.registration.mistakes import seen_best
+
+        try:
+            return seen_best(*view)
+        except (ImportError, NoGraphics):
+            return None
+
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".new-") as partial:
         made = Path(partial) / opt.name
         made.mkdir()
         try:
             said = new_scene.make(
-                made, opt.model, opt.photo, opt.camera or None, opt.image or None, opt.picks or None, megapixels
+                made, opt.model, opt.photo, opt.camera or None, opt.image or None, opt.picks or None, megapixels, seen
             )
         except stage.BadInput as bad:
             raise stage.BadInput(*(line.replace(f"{made}/", "") for line in bad.problems)) from None

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from lib.core.stage import BadInput
 from lib.given import cameras, foreign_cameras, lenses
@@ -717,3 +718,22 @@ def test_new_scene_turns_the_camera_and_says_so(run, tmp_path):
     assert done.returncode == 0 and "the camera is turned with it" in done.stdout, done.stdout + done.stderr
     made = lenses.read(tmp_path / "data/a/left.posed.cameramodel")
     assert np.abs(seen(made) - seen(told)).max() < 1e-6
+
+
+@pytest.mark.parametrize("counts", ["stored", "shown"])
+def test_01_edges_tell_which_pixels_a_camera_of_a_turned_photograph_counts(run, tmp_path, counts):
+    """EXIF 3 keeps the size: a camera of mrcal's is turned with the picture, unless the picture says otherwise."""
+    exif = Image.Exif()
+    exif[274] = 3
+    Image.open(BASE / "room.png").convert("RGB").rotate(180).save(tmp_path / "a.jpg", quality=95, exif=exif)
+    foreign_cameras.read(BASE / "room.cameramodel", (320, 240), turn=3).write(tmp_path / "stored.cameramodel")
+    shutil.copy(BASE / "room.cameramodel", tmp_path / "shown.cameramodel")
+    words = [f"--model={BASE / 'room.obj'}", f"--photo={tmp_path / 'a.jpg'}", "--name=x", f"--data={tmp_path}"]
+    done = run("stages/new_scene.py", *words, f"--camera={tmp_path / counts}.cameramodel")
+    assert done.returncode == 0, done
+    right, found = (
+        cameras.read_cameramodel(p) for p in (BASE / "room.cameramodel", tmp_path / "x/left.posed.cameramodel")
+    )
+    p = np.array([[1.0, 3, 1], [2, 3, 0.5], [3, 4, 2]])
+    assert np.abs(right.project(p) - found.project(p)).max() < 1e-6
+    assert ("so say the photograph's edges" in done.stdout) == (counts == "shown")

@@ -244,5 +244,5 @@ def test_a_photograph_that_was_flipped_is_named(root, name, axes, words):
     """One that is mirrored ended in "too few edges". Of the right ones nothing is said: see above."""
     world, camera, photograph = scene(root, name)
     photograph = replace(photograph, values=np.ascontiguousarray(np.flip(photograph.values, axes)))
-    (why,) = places.by_edges(View(world, camera, photograph), []).why
+    (why,) = places.by_edges(View(camera, world, photograph), []).why
     assert why.cause == "camera" and re.search(words, why.text)

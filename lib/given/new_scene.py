@@ -29,6 +29,7 @@ from lib.given import (
 )
 from lib.given import model as models
 from lib.given import picks as picks_
+from lib.given.cameras import Camera
 
 # Whole words of a group's name that mean a lamp, and those after which a light, a window or a spot is none
 LAMPS = "lamp lamps light lights bulb bulbs lightbulb luminaire luminaires emitter emitters emission emissive neon tube"
@@ -42,12 +43,13 @@ ROOM_M = 60.0  # the longest side of a model that is likely in metres
 DIAGONAL_35 = 43.267  # mm, of the film that EXIF's equivalent focal length is for
 
 
-def make(folder, model, photograph, camera=None, picture=None, points=None, megapixels=None) -> list[str]:
+def make(folder, model, photograph, camera=None, picture=None, points=None, megapixels=None, seen=None) -> list[str]:
     """Fill an empty folder; returns lines to say, what is missing last.  BadInput: what cannot be used
 
     picture : the photograph's name in COLMAP's reconstruction
     points : a file as pose.csv, whose X, Y, Z may be in the model's own unit, or as Blender shows them
     megapixels : that the photograph keeps at most; None: reduced.MEGAPIXELS
+    seen : (model, [Camera], Photograph) -> the one whose edges the photograph clearly has, or None
     """
     suffix = SUFFIX.get(Path(photograph).suffix.lower())
     if suffix is None:
@@ -70,6 +72,8 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
         found, lines = _of_the_model(model, size, bool(points))
         said += [f"camera: {line}" for line in lines]
     unit = _unit(world)
+    if found and found.other and found.T is not None and seen:
+        found = _as_seen(found, world.scaled(unit.metres if unit else 1.0), photograph, seen)
     facts, hints = [], [unit.line] if unit else []
     if found:
         found = reduced.camera(found, k)
@@ -91,6 +95,20 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
     said += [f"written: {fact}" for fact in facts]
     said += [f"perhaps write {hint}" for hint in hints]
     return said + _missing(lamps, bool(points) or bool(found and found.T is not None), bool(found), hfov)
+
+
+def _as_seen(found, world, photograph, seen):
+    """The camera, or the same in the other pixels, where the photograph's edges say so."""
+    both = [Camera(_matrix(one.intrinsics), one.width, one.height, one.T) for one in (found, found.other)]
+    if seen(world, both, image.read_photograph(photograph)) != 1:
+        return found
+    return found.other.saying("so say the photograph's edges: it is taken as it is")
+
+
+def _matrix(intrinsics):
+    """K (3, 3) px, without the lens's distortion."""
+    fx, fy, cx, cy = intrinsics[:4]
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
 def _photograph(path, photograph, megapixels):

@@ -30,6 +30,7 @@ class Found:
 
     width, height : px; None where the file tells none.  said : lines for the user
     stored : the tool counts the pixels as the file stores them, not as EXIF turns them
+    other : the camera if the tool counted the other pixels, where the size does not tell; it says so
     """
 
     kind: str
@@ -40,6 +41,7 @@ class Found:
     T: np.ndarray | None
     said: tuple[str, ...] = ()
     stored: bool = True
+    other: Found | None = None
 
     @property
     def name(self):
@@ -97,12 +99,12 @@ def of_photograph(path, found, size, turn) -> Found:
         )
     if turn == 1:
         return found
+    why = f"viewers turn the photograph (EXIF's orientation {turn}), and {found.kind}'s pixels are those that they show"
     if told != shown or (found.stored and told == stored):
-        return _turned(path, found, turn)
-    why = f"viewers turn the photograph (EXIF's orientation {turn})"
+        turned = _turned(path, found, turn)
+        return replace(turned, other=found.saying(why)) if told == shown else turned
     return found.saying(
-        f"{why}, and {found.kind}'s pixels are those that they show: taken as they are; if {found.kind} showed it "
-        "otherwise, save the photograph without EXIF's note"
+        f"{why}: taken as they are; if {found.kind} showed it otherwise, save the photograph without EXIF's note"
     )
 
 

@@ -38,17 +38,39 @@ class Mistake(NamedTuple):
 
 def mistake(model, camera, photograph, now: Seen) -> Mistake | None:
     """The mistake without which the photograph tells most for the edges; None where no known one explains it."""
-    level = pyramid(photograph, COARSEST)[max(f for f in (1, 2, 4, 8, 16) if f == 1 or camera.width >= f * SEARCH_PX)]
+    level = _level(photograph, camera.width)
     tried = []
     for cause, text, other, view, shown in _undone(model, camera, level):
-        sight = Registrar(other, view, shown).sight(State())
-        share = seen(sight.pieces, shown.noise) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0, 0.0)
+        share = _share(other, view, shown)
         tried.append(Mistake(cause, f"{text}, the photograph has {share.found:.0%} of its edges, not {{}}", share))
     best = max(tried, key=lambda m: m.seen.nats)
     is_clear = best.seen.found >= min(now.found + CLEAR, 1 - LEFT * (1 - now.found))
     if best.seen.is_lost or not is_clear:
         return None
     return best._replace(text=best.text.format(f"{now.found:.0%}"))
+
+
+def seen_best(model, cameras, photograph) -> int | None:
+    """Which camera's edges the photograph clearly has more of than any other's; None: no one's.
+
+    cameras : [Camera] of one size
+    """
+    level = _level(photograph, cameras[0].width)
+    shares = [_share(model, camera, level) for camera in cameras]
+    best = int(np.argmax([share.found for share in shares]))
+    others = max(share.found for k, share in enumerate(shares) if k != best)
+    return best if not shares[best].is_lost and shares[best].found >= others + CLEAR else None
+
+
+def _level(photograph, width):
+    """Where the photograph is looked at: small."""
+    return pyramid(photograph, COARSEST)[max(f for f in (1, 2, 4, 8, 16) if f == 1 or width >= f * SEARCH_PX)]
+
+
+def _share(model, camera, level) -> Seen:
+    """How much of the model's edges a photograph has where the camera sees them."""
+    sight = Registrar(model, camera, level).sight(State())
+    return seen(sight.pieces, level.noise) if len(sight.pieces.edge) >= 8 else Seen(0.0, 0.0, 0.0)
 
 
 def _undone(model, camera, level):
