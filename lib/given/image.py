@@ -149,7 +149,7 @@ def read_photograph(path, as_stored=False) -> Photograph:
         notes, doubts = (*noted, *notes), (*doubted, *doubts)
     blocks = None
     if described.format == "JPEG":
-        blocks = jpeg.blocks(content)
+        blocks = jpeg.blocks(content, None if described.space is None else described.space.matrix)
         if blocks is not None:
             blocks = blocks._replace(first=_first_block(values.shape, blocks.px, turn))
     elif described.format == "PNG":

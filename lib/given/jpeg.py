@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 SHARED_PX = 16  # side of the block that shares its error, where chroma is halved
-OF_CHROMA = np.array([1.402, np.hypot(0.344, 0.714), 1.772])  # Cb and Cr in R, G, B
-TO_RGB = float((OF_CHROMA**2).mean())
+OF_CHROMA = np.array([[0, 1.402], [-0.344, -0.714], [1.772, 0]])  # of Cb and Cr in R, G, B
 SMOOTH, STEPS, SURE = 0.03, 0.06, 4.0  # steps that are no edge; how much larger they are between blocks; in sigmas
 LONGEST_TEXT = 500  # characters
 NO_TABLES = (
@@ -46,8 +45,11 @@ class Blocks(NamedTuple):
         return json.dumps([self.px, self.noise, self.edge_noise, *self.colour, *first, len(first)])
 
 
-def blocks(data: bytes) -> Blocks | None:
+def blocks(data: bytes, matrix=None) -> Blocks | None:
     """Of a file, from its quantisation tables; None where it is no JPEG.
+
+    matrix : (3, 3) to sRGB's primaries, where the file has others: what is rounded in its Cb and Cr grows by it, 1.6
+    times in red from Adobe RGB
 
     Each coefficient is rounded to a multiple of its step q, an error of q / sqrt(12). The constant one and the two
     slowest waves, q / 8 of a level each, are alike all over a small block. The fast ones are 0 where the picture is
@@ -59,9 +61,11 @@ def blocks(data: bytes) -> Blocks | None:
     tables = dict(_tables(data))
     if not tables:
         return None
+    to_rgb = np.linalg.norm(OF_CHROMA if matrix is None else matrix @ OF_CHROMA, axis=1)
     luma, chroma = tables[min(tables)], tables[max(tables)] if len(tables) > 1 else np.zeros(64)
-    noise = lambda luma, chroma: float(np.sqrt(((luma**2).sum() + TO_RGB * (chroma**2).sum()) / 64 / 12) / 255)
-    rounded = np.hypot(chroma[0] / 8, 1) * OF_CHROMA
+    size = lambda luma, chroma: (luma**2).sum() + (to_rgb**2).mean() * (chroma**2).sum()
+    noise = lambda *steps: float(np.sqrt(size(*steps) / 64 / 12) / 255)
+    rounded = np.hypot(chroma[0] / 8, 1) * to_rgb
     colour = np.sqrt((rounded**2 + 1) / 12) / 255 if len(tables) > 1 else np.zeros(1)
     return Blocks(_side(data), noise(luma[:3], chroma[:3]), noise(luma, chroma), colour)
 
