@@ -103,7 +103,7 @@ def _photograph(path, photograph, megapixels):
         path.write_bytes(bounded.content(photograph))
     except BadInput as bad:
         raise BadInput(*(f"PHOTO: {problem}" for problem in bad.problems)) from None
-    if line := image.format_problem(path):
+    if line := image.format_problem(path, Path(photograph).stem):
         raise BadInput(f"PHOTO: {line.replace(str(path), str(photograph))}")
     try:
         content = image.read_photograph(path)
