@@ -188,6 +188,13 @@ def test_pages_of_a_tiff(tmp_path):
     refused(path, "21 x 17", "41 x 33", "save the photograph alone")
 
 
+@pytest.mark.parametrize("words", [{"imagej": True, "metadata": {"axes": "CYX"}}, {"ome": True}, {}])
+def test_colours_in_pages_of_their_own_are_no_grey_photograph(tmp_path, words):
+    """ImageJ and OME write R, G and B so: the first page is the red one, and grey by its own tags."""
+    tifffile.imwrite(tmp_path / "a.tif", np.moveaxis(ROOM16, 2, 0).copy(), photometric="minisblack", **words)
+    refused(tmp_path / "a.tif", "3 grey ones of one size", "one page of RGB")
+
+
 def test_a_tiff_that_ends_early(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", NOISE16, photometric="rgb")
     content = (tmp_path / "a.tif").read_bytes()
