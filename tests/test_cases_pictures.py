@@ -213,7 +213,7 @@ def sensor(bits, shift=0, black=0, clip=True):
     return (np.rint(np.clip(light if clip else light / 1.32, 0, 1) * full).astype(np.uint16)) << shift
 
 
-@pytest.mark.parametrize("bits, shift", [(14, 0), (12, 0), (10, 0), (12, 4), (14, 2)])
+@pytest.mark.parametrize("bits, shift", [(14, 0), (12, 0), (10, 0), (8, 0), (12, 4), (14, 2), (8, 8)])
 @pytest.mark.parametrize("kind", ["tif", "png"])
 def test_case_04_clipped_pixels_of_14_bits_are_saturated(tmp_path, bits, shift, kind):
     """They stood at .25 and counted as light. Now they are 1.0, every other value in its proportion, and it is said."""
