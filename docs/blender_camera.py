@@ -14,6 +14,8 @@ if kind != "PERSP":  # its pixels are no pinhole's
     raise RuntimeError(f"the camera is {words.get(kind, kind)}: set it to Perspective")
 if getattr(render, "use_border", False) and getattr(render, "use_crop_to_border", False):
     raise RuntimeError("the render region is cropped, so that pictures are a part of the camera's: switch Crop off")
+if getattr(render, "use_multiview", False):
+    raise RuntimeError("stereoscopy is on, so that pictures are of another place than the camera's: switch it off")
 width, height = (int(n * render.resolution_percentage / 100) for n in (render.resolution_x, render.resolution_y))
 ratio = render.pixel_aspect_y / render.pixel_aspect_x  # of a pixel
 fit = camera.data.sensor_fit

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from lib.core.stage import BadInput
-from lib.given import cameras, foreign_cameras, lenses
+from lib.given import cameras, foreign_cameras, lenses, picks
 from tests.helpers import consumers
 
 DATA = Path(__file__).parent / "data"
@@ -737,3 +737,98 @@ def test_01_edges_tell_which_pixels_a_camera_of_a_turned_photograph_counts(run, 
     p = np.array([[1.0, 3, 1], [2, 3, 0.5], [3, 4, 2]])
     assert np.abs(right.project(p) - found.project(p)).max() < 1e-6
     assert ("so say the photograph's edges" in done.stdout) == (counts == "shown")
+
+
+# ---- what else ordinary tools write ----
+
+KNOWN_NUMBERS = "write fx, fy, cx, cy and the pose as OpenCV's JSON"
+
+
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ('{"width": 320, "fx": 1, "ppx": 2, "model": "brown", "coeffs": [0]}', "RealSense's intrinsics: not read"),
+        ('{"0": {"cam_K": [1, 0, 2], "cam_t_w2c": [1, 2, 3]}}', "BOP's cameras: not read"),
+        ('{"intrinsics": {"fx": 1, "fy": 2, "cx": 3, "cy": 4}, "dist": [0]}', KNOWN_NUMBERS),
+        ('{"fx": 300, "fy": 305, "cx": 170, "cy": 115}', KNOWN_NUMBERS),
+        (
+            "# oST version 5.0 parameters\n\n[image]\n\nwidth\n320\n\n[cam]\n\ncamera matrix\n3 0 1\n",
+            "camera_calibration",
+        ),
+        ("image_width: 320\n".encode("utf-16"), "not UTF-8 but UTF-16: save it as UTF-8"),
+    ],
+    ids=["RealSense", "BOP", "intrinsics by name", "bare numbers", "ROS's .ini", "UTF-16"],
+)
+def test_the_way_out_of_more_cameras(tmp_path, text, says):
+    path = tmp_path / "a.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(BadInput) as bad:
+        foreign_cameras.read(path, (320, 240))
+    assert says in str(bad.value)
+
+
+def test_dim_is_a_size(tmp_path):
+    """As the scripts that everyone copies write it: a calibration at twice the size is not taken for one of it."""
+    path = tmp_path / "a.yaml"
+    path.write_text("DIM: [640, 480]\nK: [[300, 0, 170], [0, 300, 115], [0, 0, 1]]\nD: [0.1, 0, 0, 0, 0]\n")
+    with pytest.raises(BadInput, match="640 x 480 is not the photograph's 320 x 240"):
+        foreign_cameras.read(path, (320, 240))
+
+
+# ---- picks as spreadsheets write them ----
+
+PICKED = "x_px,y_px,X,Y,Z\n100.5,50.25,0,0,0\n200,60,1.5,0,0\n120,150,0,2,0\n50,70,0,0,2.5\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PICKED.replace("\n", "\r\n"),
+        "\ufeff" + PICKED,
+        '"x_px","y_px","X","Y","Z"\n' + PICKED.partition("\n")[2],
+        PICKED.replace("\n", ",,\n"),
+        PICKED + ",,,,\n,,,,\n",
+    ],
+    ids=["CRLF", "mark of the order", "quoted", "empty columns", "empty rows"],
+)
+def test_picks_of_a_spreadsheet(tmp_path, text):
+    (tmp_path / "a.csv").write_bytes(text.encode())
+    found = picks.read(tmp_path / "a.csv")
+    assert np.array_equal(found.q, [[100.5, 50.25], [200, 60], [120, 150], [50, 70]])
+    assert np.array_equal(found.p, [[0, 0, 0], [1.5, 0, 0], [0, 2, 0], [0, 0, 2.5]])
+
+
+@pytest.mark.parametrize(
+    "content, says",
+    [
+        (PICKED.replace(",", ";").replace(".", ",").encode(), "semicolons: use commas"),
+        (PICKED.replace(",", "\t").encode(), "tabs: use commas"),
+        (PICKED.encode("utf-16"), "not UTF-8 but UTF-16: save it as UTF-8"),
+        (b"PK\x03\x04" + bytes(99), "is a spreadsheet: save it as CSV"),
+        (PICKED.replace("200", '"1,200"').encode(), "'1,200' is not a number"),
+    ],
+    ids=["German", "tabs", "UTF-16", "xlsx", "thousands"],
+)
+def test_picks_that_would_be_misread(tmp_path, content, says):
+    (tmp_path / "a.csv").write_bytes(content)
+    with pytest.raises(BadInput) as bad:
+        picks.read(tmp_path / "a.csv")
+    assert says in str(bad.value)
+
+
+def test_rows_that_a_sign_hides_are_counted(tmp_path):
+    """#1 is a name for a person, and a comment for the reader."""
+    (tmp_path / "a.csv").write_text("name,x_px,y_px,X,Y,Z\n# by hand\n#1,1,2,3,4,5\n#2,2,2,3,4,5\nc,3,2,3,4,5\n")
+    assert picks.commented(tmp_path / "a.csv") == 2
+    assert len(picks.read(tmp_path / "a.csv").q) == 1
+
+
+def test_a_sensor_whose_sides_nobody_knows_is_no_other_one(tmp_path):
+    """The sides beside its name are those of the last sensor that was told by numbers."""
+    state = json.loads((CASES / "35-fspy-project-without-parameters/one.json").read_bytes())
+    state["calibrationSettingsBase"]["cameraData"] |= {"presetId": "of_tomorrow", "presetData": None}
+    told, picture = json.dumps(state).encode(), (BASE / "room.png").read_bytes()
+    head = b"fspy" + struct.pack("<III", 1, len(told), len(picture))
+    (tmp_path / "a.fspy").write_bytes(head + told + picture)
+    with pytest.raises(BadInput, match="sensor 'of_tomorrow' are not told: open it in fSpy"):
+        foreign_cameras.read(tmp_path / "a.fspy", (320, 240))

@@ -6,6 +6,7 @@ Where a tool's own writer is there (tifffile, Pillow, OpenEXR) the file is made 
 import io
 import shutil
 import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -187,6 +188,13 @@ def test_pages_of_a_tiff(tmp_path):
     refused(path, "21 x 17", "41 x 33", "save the photograph alone")
 
 
+@pytest.mark.parametrize("words", [{"imagej": True, "metadata": {"axes": "CYX"}}, {"ome": True}, {}])
+def test_colours_in_pages_of_their_own_are_no_grey_photograph(tmp_path, words):
+    """ImageJ and OME write R, G and B so: the first page is the red one, and grey by its own tags."""
+    tifffile.imwrite(tmp_path / "a.tif", np.moveaxis(ROOM16, 2, 0).copy(), photometric="minisblack", **words)
+    refused(tmp_path / "a.tif", "3 grey ones of one size", "one page of RGB")
+
+
 def test_a_tiff_that_ends_early(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", NOISE16, photometric="rgb")
     content = (tmp_path / "a.tif").read_bytes()
@@ -205,7 +213,7 @@ def sensor(bits, shift=0, black=0, clip=True):
     return (np.rint(np.clip(light if clip else light / 1.32, 0, 1) * full).astype(np.uint16)) << shift
 
 
-@pytest.mark.parametrize("bits, shift", [(14, 0), (12, 0), (10, 0), (12, 4), (14, 2)])
+@pytest.mark.parametrize("bits, shift", [(14, 0), (12, 0), (10, 0), (8, 0), (12, 4), (14, 2), (8, 8)])
 @pytest.mark.parametrize("kind", ["tif", "png"])
 def test_case_04_clipped_pixels_of_14_bits_are_saturated(tmp_path, bits, shift, kind):
     """They stood at .25 and counted as light. Now they are 1.0, every other value in its proportion, and it is said."""
@@ -412,6 +420,49 @@ def test_layers_views_and_channels_beside(tmp_path, channels, notes):
     found = image.read_photograph(write_exr(tmp_path / "a.exr", channels))
     assert np.array_equal(found.values, LIGHT)
     assert len(found.notes) == notes
+
+
+def write_parts(path, **parts):
+    """parts : name of a part: its channels, and perhaps its view"""
+    head = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    made = []
+    for name, channels in parts.items():
+        own = {"view": channels.pop("view")} if "view" in channels else {}
+        made.append(OpenEXR.Part(head | own, channels, name))
+    with OpenEXR.File(made) as file:
+        file.write(str(path))
+    return path
+
+
+def test_of_parts_with_colours_the_name_says_which_is_the_photograph(tmp_path):
+    """Nuke and Blender write normals and albedo as R, G, B, too, and they may stand first."""
+    half = LIGHT * np.float32(0.5)
+    for name, other in (("rgba", "normal"), ("Image", "Denoising Albedo"), ("beauty", "diffuse")):
+        found = read(write_parts(tmp_path / "a.exr", **{other: planes(half), name: planes(LIGHT)}), notes=1)
+        assert np.array_equal(found.values, LIGHT)
+        assert found.notes == (f"part {name!r} is the photograph; 1 further part: not read",)
+    views = {"rgb.right": planes(half) | {"view": "right"}, "rgb.left": planes(LIGHT) | {"view": "left"}}
+    assert np.array_equal(read(write_parts(tmp_path / "b.exr", **views), notes=1).values, LIGHT)
+    refused(write_parts(tmp_path / "c.exr", key=planes(LIGHT), fill=planes(half)), "key, fill", "photograph alone")
+    refused(write_exr(tmp_path / "d.exr", planes(LIGHT, "ViewLayer.Normal.")), "are no photograph", "R, G, B")
+    found = read(write_exr(tmp_path / "e.exr", planes(LIGHT, "lamp.")), notes=1)
+    assert found.notes == ("layer 'lamp' is the photograph",)
+
+
+def test_a_panorama_is_no_view_of_a_lens(tmp_path):
+    write_exr(tmp_path / "a.exr", planes(LIGHT), envmap=OpenEXR.ENVMAP_LATLONG)
+    refused(tmp_path / "a.exr", "panorama", "one view")
+    with pytest.raises(BadInput, match="panorama"):
+        image.announced(tmp_path / "a.exr")
+    for kind in ('GPano:ProjectionType="equirectangular"', "<GPano:ProjectionType>cylindrical</GPano:ProjectionType>"):
+        inside = f'<x:xmpmeta xmlns:x="adobe:ns:meta/">{kind}</x:xmpmeta>'
+        (tmp_path / "a.jpg").write_bytes(jpeg(ROOM, xmp=inside.encode()))
+        refused(tmp_path / "a.jpg", "panorama", "one view")
+
+
+def test_pixels_that_are_not_square_are_a_doubt(tmp_path):
+    found = read(write_exr(tmp_path / "a.exr", planes(LIGHT), pixelAspectRatio=2.0), doubts=1)
+    assert "pixelAspectRatio: 2" in found.doubts[0]
 
 
 def test_grey_light_is_read(tmp_path):
@@ -730,6 +781,44 @@ def test_an_animation_is_its_first_picture(tmp_path):
     found = read(tmp_path / "a.png", notes=1)
     same(found, ROOM)
     assert found.notes == ("1 further frame: not read",)
+
+
+def test_a_png_of_an_animation_beside_it(tmp_path):
+    """The picture that is no part of the animation is the one that a PNG's own reader shows."""
+    frames = [Image.fromarray(255 - ROOM), Image.fromarray(ROOM[::-1].copy())]
+    Image.fromarray(ROOM).save(tmp_path / "a.png", save_all=True, default_image=True, append_images=frames)
+    same(read(tmp_path / "a.png", notes=1), ROOM)
+
+
+def test_chunks_that_must_be_understood(tmp_path):
+    """An app's PNG of iOS is no PNG for others: its colours are swapped and its data are packed otherwise."""
+    Image.fromarray(ROOM).save(tmp_path / "a.png")
+    content = (tmp_path / "a.png").read_bytes()
+    for kind, says in ((b"CgBI", "pngcrush"), (b"ABCD", "save it as a plain PNG")):
+        more = kind + b"\x50\0\x20\x02"
+        chunk = struct.pack(">I", 4) + more + struct.pack(">I", zlib.crc32(more))
+        (tmp_path / "b.png").write_bytes(content[:8] + chunk + content[8:])
+        refused(tmp_path / "b.png", kind.decode(), says)
+
+
+@pytest.mark.parametrize(
+    "content, says",
+    [
+        (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "format: HEIC under the name of JPEG: convert it to PNG"),
+        (b"\0\0\0\x0cJXL \r\n\x87\n", "format: JPEG XL under the name of JPEG: convert it to PNG"),
+        (b"\x76\x2f\x31\x01\2\0\0\0", "format: EXR: rename it to IMG_1.exr"),
+        (b"\x89PNG\r\n\x1a\n", "format: PNG: rename it to IMG_1.png"),
+    ],
+    ids=["HEIC", "JPEG XL", "EXR", "PNG"],
+)
+def test_a_photograph_under_another_name(run, tmp_path, content, says):
+    """A phone's HEIC is often renamed to .jpg; the name to choose is that of the user's own file."""
+    (tmp_path / "IMG_1.jpg").write_bytes(content)
+    room = CASES / "base" / "room.obj"
+    words = ("--data", tmp_path, "--name", "x", "--model", room, "--photo", tmp_path / "IMG_1.jpg")
+    done = run("stages/new_scene.py", *words)
+    assert done.returncode == 2 and says in done.stderr, done.stderr
+    assert not (tmp_path / "x").exists()
 
 
 # ---- 40: boards are the sensor's ----

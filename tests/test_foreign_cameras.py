@@ -330,7 +330,7 @@ def test_fspy_lines_that_tell_nothing(tmp_path):
 # ---- Blender ----
 
 
-def blender(tmp_path, monkeypatch, root, size, fit, aspect):
+def blender(tmp_path, monkeypatch, root, size, fit, aspect, **more):
     """docs/blender_camera.py run beside a stand-in of bpy."""
     matrix = np.linalg.inv(fspy.FLIP @ pose())
 
@@ -341,7 +341,7 @@ def blender(tmp_path, monkeypatch, root, size, fit, aspect):
     data = SimpleNamespace(
         type="PERSP", sensor_fit=fit, sensor_width=36.0, sensor_height=24.0, lens=35.0, shift_x=0.1, shift_y=-0.07
     )
-    render = SimpleNamespace(resolution_x=2 * size[0], resolution_y=2 * size[1], resolution_percentage=50)
+    render = SimpleNamespace(resolution_x=2 * size[0], resolution_y=2 * size[1], resolution_percentage=50, **more)
     render.pixel_aspect_x, render.pixel_aspect_y = aspect
     camera = SimpleNamespace(data=data, matrix_world=Matrix(map(tuple, matrix)))
     scene = SimpleNamespace(render=render, camera=camera, name="Scene")
@@ -366,6 +366,13 @@ def test_blender(tmp_path, monkeypatch, root, size, fit, aspect):
     up = data.lens * y / -z - data.shift_y * sensor
     q = np.stack([(across / (width * mm) + 0.5) * size[0], (0.5 - up / (height * mm)) * size[1]], 1) - 0.5
     close(foreign_cameras.read(path, size), ROOM, q)
+
+
+def test_blenders_stereoscopy_is_refused(tmp_path, monkeypatch, root):
+    """Its pictures are of the left and the right eye, and the camera stands between them."""
+    with pytest.raises(RuntimeError, match="stereoscopy is on"):
+        blender(tmp_path, monkeypatch, root, SIZES[0], "AUTO", (1.0, 1.0), use_multiview=True)
+    assert not (tmp_path / "Scene.camera.json").exists()
 
 
 @pytest.mark.outside

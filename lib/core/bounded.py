@@ -65,7 +65,14 @@ def text_of(path, data) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        check_utf16(path, data)
         raise BadInput(f"{path}: not UTF-8: {error.reason} at byte {error.start}") from None
+
+
+def check_utf16(path, data):
+    """BadInput: text of two bytes a letter, as Excel and PowerShell write it."""
+    if len(data) > 2 and data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise BadInput(f"{path}: not UTF-8 but UTF-16: save it as UTF-8")
 
 
 def check_unpacked(path, what, packed, unpacked):

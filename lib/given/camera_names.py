@@ -64,6 +64,8 @@ KNOWN = (
     Known("Open3D's camera", COLUMNS, (r'"class_name" *: *"PinholeCamera',)),
     Known("Gaussian Splatting's cameras.json", "give the COLMAP folder that it is of", (r'"img_name"', r'"fx"')),
     Known("ARKit's frame", "run ns-process-data, and give its transforms.json", (r'"cameraPoseARFrame"',)),
+    Known("RealSense's intrinsics", NUMBERS, (r'"ppx" *:', r'"coeffs" *:')),
+    Known("BOP's cameras", NUMBERS, (r'"cam_K" *:',)),
     Known("glTF", BLENDER, (r'"asset" *:', r'"(accessors|scenes|meshes|cameras)" *:')),
     # text
     Known("Bundler's bundle.out", f"it does not say its pictures' sizes: {COLMAP}", (r"\A# Bundle file",)),
@@ -77,6 +79,7 @@ KNOWN = (
     Known("OKVIS's settings", NUMBERS, (r"^cameras *:", r"T_SC *:")),
     Known("a fisheye of OCamCalib", "undistort the photograph first", (r"\A#polynomial coefficients",)),
     Known("PMVS's projection matrix", COLMAP, (r"\ACONTOUR\s",)),
+    Known("ROS's older .ini", "convert it with camera_calibration_parsers", (r"^\[image\]", r"^camera matrix")),
     Known("MVE's meta.ini", COLMAP, (r"^\[camera\]", r"^focal_length *=")),
     Known("JPL's CAHVOR", "convert it with mrcal's mrcal-to-cameramodel", (r"^Model *= *CAHV",)),
     Known("Hugin's or PTGui's project", NUMBERS, (r"\A# ?(hugin project|ptGui project)",)),

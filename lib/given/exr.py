@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,9 @@ FORMAT = Format(
     ),
     refused=(
         ("a depth (Z) alone", "give the picture with R, G, B"),
-        ("several layers of which none is the main one", "save the photograph alone"),
+        ("several layers or parts of which none is the main one", "save the photograph alone"),
+        ("layers and parts of normals, positions, vectors, albedo", "give the picture with R, G, B"),
+        ("a panorama (envmap)", "give a picture of one view"),
         ("luminance and chroma, X Y Z, channels of another resolution, deep pixels, whole numbers", "save R, G, B"),
         ("a picture that is only a crop of its display window", "save the whole picture"),
     ),
@@ -39,6 +42,11 @@ MOST_SAMPLES = 250_000_000  # of all parts and channels of a file: all are decod
 MOST_PARTS = 100
 MAIN = ("rgba", "rgb", "beauty", "combined", "color", "colour", "image", "composite", "main", "c")  # layers' names
 DEPTHS = ("z", "depth", "zback", "distance")
+# Words in names of layers and parts that hold numbers or a surface's own colours, no light
+DATA = ("normal", "normals", "n", "position", "pos", "p", "uv", "st", "vector", "motion", "velocity", "albedo", "id")
+DATA += ("diffcol", "glosscol", "transcol", "indexob", "indexma", "cryptomatte", *DEPTHS)
+VIEWS = ("left", "right", "l", "r")
+SQUARE = 1e-3  # that the sides of a pixel may differ by
 WAY_OUT = "save the photograph alone, as R, G, B"
 SPACES = {"acescg": "ACES AP1", "aces2065-1": "ACES AP0", "lin_ap1": "ACES AP1", "lin_ap0": "ACES AP0"}
 SPACES |= {"lin_rec2020": "Rec. 2020", "lin_p3d65": "Display P3", "lin_adobergb": "Adobe RGB (1998)"}
@@ -87,6 +95,8 @@ def photograph(path) -> Light:
         seen = 0.0 if alpha is None else float((np.array(alpha.pixels, float) < 1 - 1e-3).mean())
         header = dict(file.parts[0].header) | dict(part.header)  # colours are those of all parts
     doubts = (f"alpha: {seen:.1%} of the pixels are transparent: they are read over black",) if seen else ()
+    if abs((aspect := float(header.get("pixelAspectRatio", 1))) - 1) > SQUARE:
+        doubts += (f"pixelAspectRatio: {aspect:g}: pixels are read as they are stored: fx and fy must differ so",)
     values, notes = _displayed(path, values, choice)
     values, more, less = _in_srgb(path, values, header)
     return Light(values[..., 0] if len(names) == 1 else values, (*choice.notes, *notes, *more), (*doubts, *less))
@@ -125,6 +135,8 @@ def _chosen(path, parts, length) -> Choice:
     if not found:
         raise BadInput(f"{path}: type: deep pixels: flatten it: {WAY_OUT}")
     number, layer = _main(path, parts, found)
+    if any("envmap" in parts[k].header for k in {0, number}):
+        raise BadInput(f"{path}: envmap: is a panorama, which no lens shows: give a picture of one view")
     if samples > MOST_SAMPLES:
         count = sum(map(len, channels))
         raise BadInput(f"{path}: channels: {count} with {samples} samples: at most {MOST_SAMPLES}: {WAY_OUT}")
@@ -141,9 +153,9 @@ def _chosen(path, parts, length) -> Choice:
     }
     left.add("further channel", len(set(channels[number]) - mine))
     line = left.line()
-    if line and (layer or len(parts) > 1):
+    if (line and (layer or len(parts) > 1)) or (layer and _last_word(layer.rstrip(".")) not in MAIN):
         where = f"part {parts[number].name()!r}" if len(parts) > 1 else f"layer {layer.rstrip('.')!r}"
-        line = f"{where} is the photograph; {line}"
+        line = "; ".join(filter(None, [f"{where} is the photograph", line]))
     return Choice(number, names, windows[number], (line,) if line else ())
 
 
@@ -157,20 +169,45 @@ def _layers(names):
 
 
 def _main(path, parts, found):
-    """(part, layer) of the photograph: the only one, that without a layer's name, or one with a name that says so."""
+    """(part, layer) of the photograph: the only one with light, that without a name, or one whose name says so.
+
+    A layer without a name of its own has that of its part, where there are several parts.
+    """
     coloured = [(k, layer) for k, layer in found if f"{layer}R" in {c.name for c in parts[k].header["channels"]}]
-    for number, layer in coloured or found:
-        if not layer:
-            return number, layer
-    layers = coloured or found
-    if len(layers) == 1:
-        return layers[0]
+    names = {(k, layer): (layer.rstrip(".") or _name_of_part(parts, k)) for k, layer in coloured or found}
+    words = {one: [word for word in re.split(r"[.\s_-]+", name.lower()) if word] for one, name in names.items()}
+    lit = [one for one in names if not set(words[one]) & set(DATA)]
+    listed = ", ".join(list(names.values())[:6])
+    if not lit:
+        raise BadInput(f"{path}: layers: {listed}: are no photograph: give the picture with R, G, B")
+    if len(lit) == 1 or not names[lit[0]]:
+        return lit[0]
+    for one in lit:
+        if not names[one]:
+            return one
     for word in MAIN:
-        for number, layer in layers:
-            if layer.rstrip(".").rpartition(".")[2].lower() == word:
-                return number, layer
-    names = ", ".join(layer.rstrip(".") for _, layer in layers[:6])
-    raise BadInput(f"{path}: layers: {names}: which of them is the photograph? {WAY_OUT}")
+        for one in _by_view(parts, lit):
+            if _last_word(names[one]) == word:
+                return one
+    raise BadInput(f"{path}: layers: {listed}: which of them is the photograph? {WAY_OUT}")
+
+
+def _name_of_part(parts, number):
+    return str(parts[number].name() or "") if len(parts) > 1 else ""
+
+
+def _by_view(parts, found):
+    """Those of the first view before all others, which is the left one where the file does not say."""
+    views = [str(view) for view in parts[0].header.get("multiView", ())]
+    first = (views or ["left"])[0].lower()
+    of = lambda one: str(parts[one[0]].header.get("view", first)).lower() != first
+    return sorted(found, key=of)
+
+
+def _last_word(name):
+    """Of a layer's name, without its view: "ViewLayer.Combined.left" is Combined."""
+    words = [word for word in name.lower().split(".") if word not in VIEWS]
+    return words[-1] if words else ""
 
 
 def _refuse(path, channels):

@@ -183,7 +183,7 @@ def _of_two(path, state, flat):
 def _of_one(path, state, flat):
     """The same of one vanishing point: the focal length is told, and the other point lies along the horizon."""
     base, own, points = _parts(state, "1VP")
-    f = 2 * float(own["absoluteFocalLength"]) / max(_sensor(state["calibrationSettingsBase"]["cameraData"]))
+    f = 2 * float(own["absoluteFocalLength"]) / max(_sensor(path, state["calibrationSettingsBase"]["cameraData"]))
     P = flat(base["principalPoint"]) if own["principalPointMode"] == "Manual" else np.zeros(2)
     U = _meeting(path, base["firstVanishingPoint"]["lineSegments"], flat)
     ends = points["horizon"]
@@ -196,13 +196,15 @@ def _of_one(path, state, flat):
     return U, U - along * ((U - P) @ (U - P) + f**2) / ((U - P) @ along), P, f
 
 
-def _sensor(told):
+def _sensor(path, told):
     """(width, height) mm. As fSpy, a sensor by name comes before the sides that are told."""
     preset = told.get("presetData") if told.get("presetId") else None
     if preset:
         return float(preset["sensorWidth"]), float(preset["sensorHeight"])
     if told.get("presetId") in SENSORS:
         return SENSORS[told["presetId"]]
+    if told.get("presetId"):
+        raise BadInput(f"{path}: cameraData: the sides of the sensor {told['presetId']!r:.40} are not told: {SAVE}")
     return float(told["customSensorWidth"]), float(told["customSensorHeight"])
 
 

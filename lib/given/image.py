@@ -21,7 +21,7 @@ NOISY = 0.01  # display, standard deviation of a pixel, from which a photograph 
 SKEWED, OUTLIER = 0.1, 4.0  # mean cube of second differences in sigmas; held down to so many
 ENOUGH = 300_000  # pixels that tell of the noise
 _OF_SECOND = 6.0
-FORMATS = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF"}  # as Pillow names them
+FORMATS = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF", ".exr": "EXR"}  # as Pillow names them
 RANGE_KEY = "anasyn range"  # of a text in a PNG of our own: 65535 is white
 JPEG_KEY = "anasyn jpeg"  # of a text in a PNG: the JPEG that it was made of
 read_exr, write_exr = exr.read, exr.write  # pictures of light and depth that are no photographs
@@ -99,14 +99,16 @@ def _second_differences(values, step):
     return across[:, :-2] - 2 * across[:, 1:-1] + across[:, 2:]
 
 
-def format_problem(path) -> str | None:
-    """What the file's first bytes say against it as a photograph: another format than its name."""
+def format_problem(path, stem=None) -> str | None:
+    """What the file's first bytes say against it as a photograph: another format than its name.
+
+    stem : of the name that the user knows it by
+    """
     path = Path(path)
-    if path.suffix == ".exr":
-        return None
     try:
         with open(path, "rb") as file:
-            format = picture_files.format_of(file.read(16))
+            head = file.read(16)
+        format = picture_files.format_of(head) or picture_files.other_format_of(head)
         if format is None:
             with picture_files.opened(path) as picture:
                 format = picture.format
@@ -117,7 +119,7 @@ def format_problem(path) -> str | None:
         return None
     if format in FORMATS.values():
         suffix = next(suffix for suffix, name in FORMATS.items() if name == format)
-        return f"{path}: format: {format}: rename it to {path.stem}{suffix}"
+        return f"{path}: format: {format}: rename it to {stem or path.stem}{suffix}"
     return f"{path}: format: {format} under the name of {wanted}: convert it to PNG"
 
 
@@ -322,7 +324,8 @@ def _decode(path, content):
     if of_tiff:
         image, said = tiff.pixels(path, content, of_tiff, _of_opencv), ()
     else:
-        image, said = _of_opencv(content[: described.end])
+        content = content[: described.end]
+        image, said = _of_opencv(picture_files.without_animation(content) if described.format == "PNG" else content)
     return described, _whole(path, content, described.size, image, said)
 
 

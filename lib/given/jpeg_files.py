@@ -24,6 +24,7 @@ FORMAT = Format(
     refused=(
         ("12 bits, lossless, hierarchical, JPEG-LS", "save it with 8 bits, or as a 16-bit PNG"),
         ("CMYK, YCCK", "convert it to R, G, B (sRGB)"),
+        ("a panorama (ProjectionType of GPano)", "give a picture of one view"),
     ),
     left_out=("films, further pictures and gain maps behind the end", "XMP: an orientation there is not EXIF's"),
 )
@@ -33,6 +34,7 @@ FRAMES |= {n: "hierarchical" for n in (0xC5, 0xC6, 0xC7, 0xCD, 0xCE, 0xCF)}
 BARE = (0x01, *range(0xD0, 0xD9))  # markers without a segment
 MOST_SEGMENTS = 100_000
 ICC, EXIF, MPF = b"ICC_PROFILE\0", b"Exif\0\0", b"MPF\0"
+PANORAMA = re.compile(rb"GPano:ProjectionType\W{1,9}(equirectangular|cylindrical|fisheye|cubic|sphere)", re.I)  # in XMP
 GAIN_MAP = (b"hdrgm:", b"HDRGainMap", b"urn:iso:std:iso:ts:21496:-1")
 
 
@@ -95,6 +97,10 @@ def described(path, content) -> Described:
         raise BadInput(f"{path}: colours: CMYK: convert the photograph to RGB (sRGB)")
     if samples not in (1, 3):
         raise BadInput(f"{path}: channels: {samples} instead of 1 or 3")
+    for marker, data in segments:
+        if marker == 0xE1 and (kind := PANORAMA.search(data)):
+            kind = kind[1].decode("ascii").lower()
+            raise BadInput(f"{path}: XMP: {kind}: is a panorama, which no lens shows: give a picture of one view")
     exif = exif_of(next((data for marker, data in segments if marker == 0xE1 and data.startswith(EXIF)), b""))
     profile, doubt = _profile(segments)
     space, notes, doubts = colours_of(path, profile, samples, exif)

@@ -121,7 +121,7 @@ def _photograph(path, photograph, megapixels):
         path.write_bytes(bounded.content(photograph))
     except BadInput as bad:
         raise BadInput(*(f"PHOTO: {problem}" for problem in bad.problems)) from None
-    if line := image.format_problem(path):
+    if line := image.format_problem(path, Path(photograph).stem):
         raise BadInput(f"PHOTO: {line.replace(str(path), str(photograph))}")
     try:
         content = image.read_photograph(path)
@@ -178,14 +178,16 @@ def _points(path, points, model, unit, k):
 
     unit : _Unit or None;  k : how many times smaller the photograph was made
     """
-    told = picks_.read(points).p
+    told, commented = picks_.read(points).p, picks_.commented(points)
+    left = [f"picks: {commented} rows begin with #: not read"] if commented else []
     found = picks_frame.reading(told, model.scaled(unit.metres if unit else 1.0))
     if found is None or (len(told) and found.corners == 0):
         picks_.write_with(path, points, told, k)
-        return False, [f"picks: {len(told)} -> pose.csv as they are: few of them are corners of the model"]
+        return False, [f"picks: {len(told)} -> pose.csv as they are: few of them are corners of the model", *left]
     picks_.write_with(path, points, found.metres(told), k)
     said = "" if found[:2] == ("m", "X,Y,Z") else f", read as {found.words}, and written in metres of the model's frame"
-    return unit is not None, [f"picks: {len(told)}, {found.corners} of them corners of the model{said} -> pose.csv"]
+    line = f"picks: {len(told)}, {found.corners} of them corners of the model{said} -> pose.csv"
+    return unit is not None, [line, *left]
 
 
 class _Unit(NamedTuple):

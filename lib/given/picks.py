@@ -17,6 +17,7 @@ LINE = ("x1_px", "y1_px", "x2_px", "y2_px", "X1", "Y1", "Z1", "X2", "Y2", "Z2")
 FURTHER = ("sigma_px", "name")
 LARGEST = 1e9  # px or m: what is larger is no picked place
 LEAST = 4  # places that tell a pose
+SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes: .xlsx and .ods, .xls
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +77,8 @@ def write_with(path, points, p, k=1):
 def _table(path, columns):
     """(values (n, k), sigma (n,), names) of a file with these columns, in any order, and perhaps more."""
     header, rows = _rows(path)
+    if len(header) == 1 and "\t" in header[0]:
+        raise BadInput(f"{path}: header: {header[0]!r} is parted by tabs: use commas, and a point for decimals")
     if len(header) == 1 and ";" in header[0]:
         raise BadInput(f"{path}: header: {header[0]!r} is parted by semicolons: use commas, and a point for decimals")
     unknown = [name for name in header if name not in (*columns, *FURTHER)]
@@ -99,9 +102,19 @@ def _table(path, columns):
     return np.array(values, float).reshape(-1, len(columns)), np.array(sigma), tuple(names)
 
 
+def commented(path) -> int:
+    """How many lines begin with # and have as many values as the header: rows that are left out, perhaps unmeant."""
+    header, _ = _rows(path)
+    lines = [line.lstrip() for line in bounded.text(path).splitlines()]
+    return sum(line.startswith("#") and line.count(",") == len(header) - 1 for line in lines)
+
+
 def _rows(path):
-    """(header, [(number of the line, cells)]), without comments and empty lines."""
-    lines = bounded.text(path).splitlines()
+    """(header, [(number of the line, cells)]), without comments, empty lines, and columns without any name or value."""
+    content = bounded.content(path, bounded.LARGEST_TEXT)
+    if content.startswith(SPREADSHEETS):
+        raise BadInput(f"{path}: is a spreadsheet: save it as CSV with commas, and a point for decimals")
+    lines = bounded.text_of(path, content).splitlines()
     kept = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     try:
         cells = [[cell.strip() for cell in next(csv.reader([line], strict=True))] for _, line in kept]
@@ -109,7 +122,9 @@ def _rows(path):
         raise BadInput(f"{path}: not a readable CSV file: {error}") from None
     if not cells:
         raise BadInput(f"{path}: holds nothing: the first line is to be the header")
-    return cells[0], [(k, row) for (k, _), row in zip(kept[1:], cells[1:], strict=True)]
+    while cells[0] and not any(row[len(cells[0]) - 1 :] != [""] for row in cells if any(row)):  # of a spreadsheet
+        cells = [row[: len(cells[0]) - 1] for row in cells]
+    return cells[0], [(k, row) for (k, _), row in zip(kept[1:], cells[1:], strict=True) if any(row)]
 
 
 def _number(where, name, text):

@@ -29,11 +29,20 @@ FORMAT = Format(
         "1 to 16 bits, grey, R, G, B or a palette, interlaced or not; alpha that is opaque; orientation in eXIf",
         "cICP, iCCP, sRGB, gAMA with cHRM, in this order",
     ),
-    refused=(("transparent pixels", "flatten it"), ("HDR (PQ, HLG in cICP)", "save the SDR picture, or an EXR")),
+    refused=(
+        ("transparent pixels", "flatten it"),
+        ("HDR (PQ, HLG in cICP)", "save the SDR picture, or an EXR"),
+        ("chunks that must be understood and are not (CgBI of iOS)", "save it as a plain PNG"),
+    ),
     left_out=("further pictures of an animation",),
 )
 MARKS = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8": "JPEG"}  # first bytes
 MARKS |= {b"II*\0": "TIFF", b"MM\0*": "TIFF", b"II+\0": "TIFF", b"MM\0+": "TIFF"}
+OTHERS = {  # formats that are not read, or not under such a name, and that Pillow may not know
+    rb".{4}ftyp(hei[cxms]|hev[cx]|mif1|msf1)": "HEIC",
+    rb"\0\0\0\x0cJXL |\xff\x0a": "JPEG XL",
+    rb"\x76\x2f\x31\x01": "EXR",
+}
 DAMAGE = re.compile(
     r"^(Corrupt|Premature end of|Invalid .*) JPEG|^Inconsistent prog|Exception raised reading pixel|EXR_ERR_|Decode: "
 )
@@ -42,6 +51,15 @@ DAMAGE = re.compile(
 def format_of(content) -> str | None:
     """PNG, JPEG or TIFF by the first bytes; None of anything else."""
     return next((format for mark, format in MARKS.items() if content.startswith(mark)), None)
+
+
+def other_format_of(content) -> str | None:
+    """The name of another format by the first bytes; None of one that is not known by them.
+
+    >>> other_format_of(b"\\0\\0\\0\\x18ftypheic")
+    'HEIC'
+    """
+    return next((format for mark, format in OTHERS.items() if re.match(mark, content, re.S)), None)
 
 
 def describe(path, content) -> tuple[Described, tiff.Tiff | None] | None:
@@ -192,12 +210,17 @@ def _check_png(path, content, of_labels=False):
             told.setdefault(kind, data)
         elif kind == b"IEND":
             break
+        elif kind not in CRITICAL and not kind[0] & 0x20:  # a capital: it must be understood
+            way_out = "undo it: pngcrush -revert-iphone-optimizations" if kind == b"CgBI" else "save it as a plain PNG"
+            raise BadInput(f"{path}: {chunk} is not known, and must be: {way_out}")
     if header is None:
         raise BadInput(f"{path}: damaged: the PNG has no header")
     _check_deflated(path, packed, header)
     return header, told, at
 
 
+CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
+OF_ANIMATIONS = (b"acTL", b"fcTL", b"fdAT")
 TOLD = (b"tRNS", b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM", b"eXIf", b"acTL")
 
 
@@ -222,6 +245,19 @@ def _png_described(path, header, told, end):
         clear = int.from_bytes(told[b"tRNS"], "big")
         return replace(found, clear=clear * 255 // ((1 << bits) - 1) if bits < 8 else clear)
     return found
+
+
+def without_animation(content) -> bytes:
+    """A PNG that has been checked, with its own picture alone: OpenCV would show the first frame in its place."""
+    if content.find(b"acTL", 0, max(0, content.find(b"IDAT"))) < 0:
+        return content
+    at, kept = 8, [content[:8]]
+    while at + 12 <= len(content):
+        end = at + 12 + int.from_bytes(content[at : at + 4], "big")
+        if content[at + 4 : at + 8] not in OF_ANIMATIONS:
+            kept.append(content[at:end])
+        at = end
+    return b"".join(kept)
 
 
 def _of_cicp(told):

@@ -33,6 +33,7 @@ FORMAT = Format(
         ("1, 2, 4, 10, 12, 14 or 32 bits, signed samples", "save it with 8 or 16 bits"),
         ("CMYK, Lab, LogLuv, RAW of a camera", "convert it to R, G, B (sRGB)"),
         ("a later page that is larger", "save the photograph alone"),
+        ("R, G and B as three grey pages (ImageJ, OME)", "save one page of RGB"),
         ("ZSTD, LZMA, JPEG 2000, LERC, WebP", "save it with LZW, Deflate (ZIP) or none"),
     ),
     left_out=("further pages, thumbnails, masks, layers",),
@@ -205,6 +206,12 @@ def _photograph_of(path, chain):
         raise BadInput(
             f"{path}: pages: {len(chain)}: the first has {page.size[0]} x {page.size[1]} px, a later one "
             f"{larger.size[0]} x {larger.size[1]}: save the photograph alone"
+        )
+    grey = [other for other in whole if other.one("photometric") in (WHITE, BLACK) and other.one("samples", 1) == 1]
+    if len(whole) in (3, 4) and len(grey) == len(whole) and len({other.size for other in whole}) == 1:
+        raise BadInput(
+            f"{path}: pages: {len(whole)} grey ones of one size: are they R, G and B (ImageJ, OME)? save the "
+            "photograph as one page of RGB"
         )
     left = LeftOut()
     left.add("thumbnail", sum(page.reduced for page in chain) - page.reduced)

@@ -3,7 +3,7 @@
 A RAW developed without scaling to white ends at 16383 of 65535 (14 bits), and an industrial camera's 12 bits, moved up,
 at 65520. Its clipped pixels are then no 1.0, and would count as light.
 
-Two cases are told apart. Where many samples share exactly the largest value, and that is the largest of 10, 12 or 14
+Two cases are told apart. Where many samples share exactly the largest value, and that is the largest of 8, 10, 12 or 14
 bits (moved up or not), or one that the file itself calls its largest, then chance is out of the question: it is taken
 for white, and said. Where it is another number (16383 less a black level, say) it may as well be a lamp of even
 brightness in a rendering without noise: nothing is changed, and it is said.
@@ -18,7 +18,7 @@ import numpy as np
 FEWEST, SHARE = 24, 2e-5  # samples that share the largest value: so many, and this share
 PEAK, SURE_PEAK = 8.0, 2.0  # times as many as have one of the values just below it; where its bits are known
 BELOW = 64  # values below it that are looked at
-DEPTHS = (9, 10, 11, 12, 13, 14, 15)  # bits of a sensor that is stored in 16
+DEPTHS = (8, 9, 10, 11, 12, 13, 14, 15)  # bits of a sensor, or of a picture, that is stored in 16
 FULL = 0.98  # of the range: white of 16 bits is above it, whatever is clipped there
 
 WAY_OUT = "scale it to the full range with your RAW developer"

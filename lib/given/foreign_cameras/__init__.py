@@ -53,6 +53,7 @@ def _read(path, size, image):
     if path.is_dir() or colmap.is_file(path):
         return colmap.read(path, image)
     content = bounded.content(path)
+    bounded.check_utf16(path, content)
     head = content[:HEAD]
     start = re.sub(rb"\A(\xef\xbb\xbf|\s|#[^\n]*(\n|\Z))+", b"", head)  # without comments
     if head.startswith(fspy.MAGIC):
@@ -87,7 +88,9 @@ def _of_table(path, table, image):
         if reader.is_one(table):
             return reader.read(path, table, image)
     listed = ", ".join(f"{name:.40}" for name in table.names[:6])
-    raise BadInput(f"{path}: is no camera that is known ({listed or 'no names'}): read are {READ}")
+    raise BadInput(
+        f"{path}: is no camera that is known ({listed or 'no names'}): {camera_names.NUMBERS}; read are {READ}"
+    )
 
 
 def _fspy(path):

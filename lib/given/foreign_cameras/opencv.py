@@ -62,7 +62,10 @@ FORMAT = Format(
 
 def is_one(table) -> bool:
     """Does a storage.Table have a camera's matrix?"""
-    return table.get(*OF_K) is not None or any(K_OF_SIDE.match(n) and _is_matrix(v) for n, v in table.values.items())
+    K = table.get(*OF_K)
+    if isinstance(K, dict) and "data" not in K:  # fx, fy, cx, cy by their names
+        return False
+    return K is not None or any(K_OF_SIDE.match(n) and _is_matrix(v) for n, v in table.values.items())
 
 
 def _is_matrix(value):
@@ -206,7 +209,7 @@ def _size(path, table):
         storage.whole(table.get("imagewidth", "width", "imgwidth")),
         storage.whole(table.get("imageheight", "height", "imgheight")),
     )
-    pair = table.get("imagesize", "resolution", "imgsize")
+    pair = table.get("imagesize", "resolution", "imgsize", "dim")
     if None in sides and isinstance(pair, list) and len(pair) == 2:
         sides = storage.whole(pair[0]), storage.whole(pair[1])
     return sides

@@ -21,6 +21,7 @@ WANTED = (
         r"width",
         r"height",
         r"resolution",
+        r"dim",
         r"roi",
         r"binning_[xy]",
     ),
