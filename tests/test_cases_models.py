@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lib.core import bounded
+from lib.core import artefact, bounded
 from lib.core.stage import BadInput
 from lib.given import foreign_models, mesh_files, strangers_files
 from lib.given import model as models
@@ -705,6 +705,8 @@ def test_a_pipe_is_not_waited_for(tmp_path, beside):
             assert quick.pixels(tmp_path / "left.png") is None and quick.lens_of(tmp_path / "pipe") is None
             foreign_models.convert(tmp_path / "a.gltf")
         else:
+            with pytest.raises(BadInput, match="pipe: is no file"):
+                artefact.read_npz(tmp_path / "pipe")
             bounded.content(tmp_path / "pipe")
 
     outcome = confined.call(ask)

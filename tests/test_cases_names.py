@@ -26,6 +26,20 @@ def scene_of(tmp_path, model):
     return scene, models.load(next(folder.glob("model.[og]*"))).groups
 
 
+@pytest.mark.parametrize(("longest", "unit"), [(500, "cm"), (5000, "mm"), (2000, "cm"), (50, None)])
+def test_the_likelier_unit_of_a_room(tmp_path, longest, unit):
+    """The base room is 5 m long: drawn in mm it was taken for 50 m, drawn in cm."""
+    lines = []
+    for line in (BASE / "room.obj").read_text().splitlines():
+        word, *rest = line.split()
+        lines.append(" ".join([word, *(str(float(x) * longest / 5) for x in rest)]) if word == "v" else line)
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    (tmp_path / "s").mkdir()
+    said = new_scene.make(tmp_path / "s", tmp_path / "a.obj", BASE / "room.png")
+    hints = [line for line in said if line.startswith("perhaps write model: {unit")]
+    assert [line.split()[4].strip("}") for line in hints] == ([unit] if unit else [])
+
+
 @pytest.mark.parametrize("name", NAMES, ids=lambda name: ascii(name[:20]))
 def test_a_lamp_of_any_name_is_read_again(tmp_path, name):
     text = (BASE / "room.obj").read_text().replace("usemtl lamp", f"usemtl {name}").replace("room.mtl", "a.mtl")

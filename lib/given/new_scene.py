@@ -38,7 +38,8 @@ NO_LAMPS = "grey gray blue green red brown yellow beige pink orange white black 
 NO_LAMPS += " stone frame frames sill switch stand base pole shade cord cable holder"
 LAMPS, NO_LAMPS = frozenset(LAMPS.split()), frozenset(NO_LAMPS.split())
 SUFFIX = {".png": ".png", ".jpg": ".jpg", ".jpeg": ".jpg", ".tif": ".tif", ".tiff": ".tif", ".exr": ".exr"}
-ROOM_M = 60.0  # the longest side of a model that is likely in metres
+ROOM_M = 60.0  # the longest side of a model that is likely in metres;
+LIKELY_M = 20.0  # and of one in cm: a room of 5000 is 5 m of mm sooner than 50 m of cm
 # Letters that YAML takes for the end of a line, or does not take at all
 UNPRINTED = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 LONGEST_KEY = 1000  # letters: YAML looks for the colon of a plain key in 1024
@@ -187,7 +188,7 @@ def _unit(model):
     longest = float(np.ptp(model.vertices[np.unique(model.triangles)], axis=0).max())
     if longest <= ROOM_M:
         return None
-    unit, factor = next((u, f) for u, f in (("cm", 0.01), ("mm", 0.001)) if longest * f <= ROOM_M or u == "mm")
+    unit, factor = next((u, f) for u, f in (("cm", 0.01), ("mm", 0.001)) if longest * f <= LIKELY_M or u == "mm")
     why = f"it is {longest:.4g} long, which would be {longest * factor:.3g} m; the camera is read in metres"
     return _Unit(factor, f"model: {{unit: {unit}}}    # {why}")
 
