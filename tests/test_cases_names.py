@@ -26,6 +26,21 @@ def scene_of(tmp_path, model):
     return scene, models.load(next(folder.glob("model.[og]*"))).groups
 
 
+@pytest.mark.parametrize("turn", [lambda x, y, z: (x, z, -y), lambda x, y, z: (x, -z, y)], ids=["y up", "z up"])
+def test_a_model_of_other_axes_than_the_camera_s_is_said(tmp_path, turn):
+    """Blender's exports of glTF and OBJ have y up, its camera z: check spoke of open walls alone."""
+    lines = []
+    for line in (BASE / "room.obj").read_text().splitlines():
+        word, *rest = line.split()
+        lines.append(" ".join([word, *(str(x) for x in turn(*map(float, rest)))]) if word == "v" else line)
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    for name, model in (("turned", tmp_path / "a.obj"), ("right", BASE / "room.obj")):
+        (tmp_path / name).mkdir()
+        said = new_scene.make(tmp_path / name, model, BASE / "room.png", BASE / "room.cameramodel")
+        found = [line for line in said if "outside the model's box, and inside it if the model had" in line]
+        assert len(found) == (name == "turned") and all("export the model with the camera's axes" in x for x in found)
+
+
 @pytest.mark.parametrize(("longest", "unit"), [(500, "cm"), (5000, "mm"), (2000, "cm"), (50, None)])
 def test_the_likelier_unit_of_a_room(tmp_path, longest, unit):
     """The base room is 5 m long: drawn in mm it was taken for 50 m, drawn in cm."""

@@ -82,8 +82,8 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
         said += [f"camera: {line}" for line in found.said]
         if found.T is not None:
             lens = lenses.Lens(found.lens, found.intrinsics, found.width, found.height, found.T, str(camera))
-            if line := sight.unseen(lens, world):
-                said.append(f"camera: {line}")
+            guesses = filter(None, [sight.unseen(lens, world), sight.lying(lens, world)])
+            said += [f"camera: {line}" for line in guesses]
             hints += _up(found.T)
     if points:
         applied, lines = _points(folder / "pose.csv", points, world, unit, k)
