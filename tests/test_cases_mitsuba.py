@@ -208,7 +208,10 @@ def test_groups_are_the_outermost_materials_that_have_an_id(read):
         **{"f": "paint", "g": "lamp-g", "h": "paint", "i": "paint"},
     }
     assert emits == {"lamp-g": True}
-    assert said == ["bsdf paint 2 and bsdf paint_2 have one name: the second is group paint_2.2"]
+    assert said == [
+        "bsdf paint 2 and bsdf paint_2 have one name: the second is group paint_2.2",
+        "materials that let light through are taken for opaque ones: paint",  # the mask
+    ]
 
 
 def test_parameters_aliases_and_included_files(read):
@@ -266,6 +269,44 @@ def test_what_multiplies_is_bounded(read):
         inside = 10 * f'<shape type="instance"><ref id="g{k - 1}"/></shape>'
         groups += f'<shape type="shapegroup" id="g{k}">{inside}</shape>'
     assert "more than" in refused(read, f'{groups}<shape type="instance"><ref id="g9"/></shape>')
+
+
+@pytest.mark.parametrize(
+    "radiance",
+    [
+        '<spectrum type="blackbody" name="radiance"><float name="temperature" value="3000"/></spectrum>',
+        '<spectrum type="d65" name="radiance"/>',
+        '<blackbody name="radiance" temperature="3000K"/>',
+        '<spectrum name="radiance" filename="lamp.spd"/>',
+        '<texture type="bitmap" name="radiance"><string name="filename" value="lamp.exr"/></texture>',
+    ],
+)
+def test_a_lamp_whose_radiance_is_no_number_is_one(read, radiance):
+    """Such spectra have no value, which was taken for one of 0: the lamp was a wall."""
+    _, emits, _ = read(f'<shape type="rectangle" id="l"><emitter type="area">{radiance}</emitter></shape>')
+    assert emits == {"lamp-l": True}
+
+
+def test_what_nothing_shows_is_left_out_and_what_light_passes_is_said(read):
+    null = '<bsdf type="null" id="air"/>'
+    picture = '<texture type="bitmap" name="reflectance"><string name="filename" value="a.png"/></texture>'
+    body = f"""<shape type="cube" id="fog">{null}<medium name="interior" type="homogeneous"/></shape>
+    <shape type="rectangle" id="l">{null}{LAMP}</shape>
+    <shape type="cube" id="pane"><bsdf type="dielectric" id="glass"/></shape>
+    <shape type="cube" id="box"><bsdf type="diffuse" id="paint">{picture}</bsdf></shape>"""
+    parts, _, said = read(body)
+    assert [(thing, group) for thing, group, _, _ in parts] == [("l", "lamp-l"), ("pane", "glass"), ("box", "paint")]
+    assert said == [
+        "materials that let light through are taken for opaque ones: glass",
+        "1 shape that nothing shows (bsdf null), 1 material picture: not read",
+    ]
+
+
+def test_a_shape_of_several_materials_is_refused(read):
+    """Versions before 2 part an OBJ by the names of its materials; the first was taken for all of them."""
+    body = '<shape type="cube" id="a"><bsdf type="diffuse" name="x"/><bsdf type="diffuse" name="y"/></shape>'
+    line = refused(read, body, version="0.6.0")
+    assert line.endswith("shape a: has 2 materials (bsdf): export a shape for each of them")
 
 
 def test_lights_without_faces_and_further_sensors_are_said(read):

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lib.core import bounded
+from lib.core import artefact, bounded
 from lib.core.stage import BadInput
 from lib.given import foreign_models, mesh_files, strangers_files
 from lib.given import model as models
@@ -108,7 +108,8 @@ def test_case_18_hidden_nodes(new, base):
 
 def test_case_20_a_comment_ends_with_its_line(new, base):
     model, said, _ = new(CASES / "20-obj-comment-ends-in-backslash" / "bs.obj")
-    assert area_of(model) == area_of(base) and box(model) == box(base) and said == []
+    unknown = "materials that no library describes, so that nothing is known of what they emit: lamp"
+    assert area_of(model) == area_of(base) and box(model) == box(base) and said == [unknown]
 
 
 @pytest.mark.parametrize("name", ["abspath", "quoted", "twolibs", "winpath"])
@@ -174,6 +175,25 @@ def test_libraries_are_found(tmp_path, line, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_bytes(MTL)
     assert foreign_models.emitters(foreign_models.convert(tmp_path / "a.obj")[0]) == ["glow"]
+
+
+def test_materials_and_pictures_of_a_library_are_counted(new, tmp_path):
+    """`usemtl Glow` is no `glow` of the library, nor is one with a comment behind it."""
+    text = OBJ.format("a.mtl") + "usemtl Glow\nf 1 3 2\nusemtl glow # 2\nf 2 3 1\n"
+    (tmp_path / "a.obj").write_text("# File units = inches\n" + text)
+    (tmp_path / "a.mtl").write_bytes(MTL + b"map_Kd x.png\nmap_Bump -bm 1 y.png\nnewmtl b\nmap_Kd x.png\n")
+    _, said, emits = new(tmp_path / "a.obj")
+    assert emits == ["glow"] and said[:3] == [
+        "a comment tells lengths in in: if that is so, write model: {unit: in}",
+        "materials that no library describes, so that nothing is known of what they emit: Glow, glow # 2",
+        "2 material pictures: not read",
+    ]
+
+
+def test_a_library_is_no_model(tmp_path):
+    (tmp_path / "a.mtl").write_bytes(MTL)
+    with pytest.raises(BadInput, match=r"a.mtl: is a library of materials \(.mtl\): give the .obj that names it"):
+        foreign_models.convert(tmp_path / "a.mtl")
 
 
 def test_letters_of_windows(new, tmp_path):
@@ -524,7 +544,8 @@ def test_ply_of_trimesh(new, base, tmp_path, form):
 
 PLY = """ply
 format {} 1.0
-comment TextureFile room.png
+comment TextureFile room.png, before end_header
+comment end_header
 obj_info made by hand
 element edge 1
 property int vertex1
@@ -655,6 +676,11 @@ def test_stl_that_is_refused(tmp_path, name, content, line):
         (b"  0\nSECTION\n  2\nHEADER\n", "a DXF file"),
         (b"\x1f\x8b\x08\0", "a gzip archive"),
         (b"//Maya ASCII 2023 scene\n", "a file of Maya"),
+        (b"\x89PNG\r\n\x1a\n\0\0", "a picture (PNG)"),
+        (b"\xff\xd8\xff\xe1\0\0", "a picture (JPEG)"),
+        (b"AC3Db\n", "an AC3D file"),
+        (b'{"metadata": {"type": "Object"}}', "a JSON file of three.js"),
+        (b'LookAt 0 0 1 0 0 0 0 1 0\nFilm "rgb"\nWorldBegin\n', "a scene of pbrt"),
     ],
 )
 def test_formats_that_are_not_read_are_named(tmp_path, content, kind):
@@ -679,6 +705,8 @@ def test_a_pipe_is_not_waited_for(tmp_path, beside):
             assert quick.pixels(tmp_path / "left.png") is None and quick.lens_of(tmp_path / "pipe") is None
             foreign_models.convert(tmp_path / "a.gltf")
         else:
+            with pytest.raises(BadInput, match="pipe: is no file"):
+                artefact.read_npz(tmp_path / "pipe")
             bounded.content(tmp_path / "pipe")
 
     outcome = confined.call(ask)

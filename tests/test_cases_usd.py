@@ -488,6 +488,35 @@ def test_skinned_meshes_are_read_in_their_pose(tmp_path):
     assert Sdf.Layer and stage.GetRootLayer().Save()
     parts, _, _ = usd_models.read(tmp_path / "room.usda")
     assert extent(parts, "m") == ([0, 0, 5], [1, 1, 5])
+    hall = Usd.Stage.CreateNew(str(tmp_path / "hall.usda"))  # the same, in instances, one of them in another
+    UsdGeom.SetStageMetersPerUnit(hall, 1)
+    for path, x in (("/one", 10), ("/pair", 20)):
+        prim = UsdGeom.Xform.Define(hall, path)
+        prim.AddTranslateOp().Set((x, 0, 0))
+        held = hall.DefinePrim(f"{path}/in")
+        held.GetReferences().AddReference("room.usda", "/R")
+        held.SetInstanceable(True)
+    again = UsdGeom.Xform.Define(hall, "/again")
+    again.AddTranslateOp().Set((100, 0, 0))
+    again.GetPrim().GetReferences().AddInternalReference("/pair")
+    again.GetPrim().SetInstanceable(True)
+    assert hall.GetRootLayer().Save()
+    parts, _, said = usd_models.read(tmp_path / "hall.usda")
+    boxes = sorted((p.min(axis=0).tolist(), p.max(axis=0).tolist()) for _, _, p, _ in parts)
+    assert boxes == [([x, 0, 5], [x + 1, 1, 5]) for x in (10, 20, 100)] and not any("skin" in line for line in said)
+
+
+def test_glass_and_pictures_are_said(read):
+    """A material of opacity .2 with a picture; the binding is to the mesh."""
+    surface = 'uniform token info:id = "UsdPreviewSurface"\nfloat inputs:opacity = 0.2\n'
+    picture = 'uniform token info:id = "UsdUVTexture"\nasset inputs:file = @a.png@\n'
+    material = f'def Material "glass"\n{{\ndef Shader "s"\n{{\n{surface}}}\ndef Shader "t"\n{{\n{picture}}}\n}}\n'
+    bound = f'def Mesh "m" (apiSchemas = ["MaterialBindingAPI"]) {{\n{TRIANGLE}rel material:binding = </glass>\n}}\n'
+    _, emits, said = read(material + bound)
+    assert emits == {} and said[-2:] == [
+        "materials that let light through are taken for opaque ones: glass",
+        "1 material picture: not read",
+    ]
 
 
 def test_the_model_plans_with_its_lamp(new_scene, tmp_path):

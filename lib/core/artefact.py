@@ -143,7 +143,7 @@ def read_npz(path, *keys) -> dict:
     """The arrays of a .npz as a dict, all of them read; those named in `keys` must be there."""
     arrays = {}
     try:
-        with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
+        with bounded.opened(path) as file, zipfile.ZipFile(file) as archive:
             size = os.fstat(file.fileno()).st_size
             bounded.check_unpacked(path, "arrays", size, sum(entry.file_size for entry in archive.infolist()))
             for entry in archive.infolist():

@@ -30,14 +30,21 @@ FEW_PX, EMPTIEST = 12_000_000, 1 / 50  # a picture of more pixels than that has 
 def content(path, most=LARGEST_FILE) -> bytes:
     """The bytes of a file. Refused: no file, a folder or a device, more bytes than `most`."""
     try:
-        with open(path, "rb", opener=_without_waiting) as file:
-            status = os.fstat(file.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                raise BadInput(f"{path}: is no file")
-            check_size(path, status.st_size, most)
-            return file.read(status.st_size)
+        with opened(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            check_size(path, size, most)
+            return file.read(size)
     except OSError as error:
         raise BadInput(f"{path}: {_why(error)}") from None
+
+
+def opened(path):
+    """A file, open for its bytes. BadInput: a folder, a device, a pipe, which would be waited for; OSError"""
+    file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise BadInput(f"{path}: is no file")
+    return file
 
 
 def _without_waiting(path, flags):

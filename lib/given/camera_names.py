@@ -49,8 +49,8 @@ KNOWN = (
     Known("MicMac's orientation", NUMBERS, (r"<ExportAPERO|OrientationC",)),
     Known("MeshLab's project", COLMAP, (r"<!DOCTYPE MeshLab|<MeshLabProject|<VCGCamera",)),
     Known("COLLADA", BLENDER, (r"<COLLADA",)),
-    Known("Mitsuba's scene", "write its sensor as OpenCV's JSON", (r"<scene\b", r"<sensor\b")),
-    Known("Mitsuba's scene", "it has no sensor: CAMERA= is the camera's file", (r"<scene\b",)),
+    Known("Mitsuba's scene", "give it as MODEL, without CAMERA: its sensor is the camera", (r"<scene\b", r"<sensor\b")),
+    Known("Mitsuba's scene", "it has no sensor: give it as MODEL, and the camera's file as CAMERA", (r"<scene\b",)),
     # JSON
     Known("OpenMVG's sfm_data", "export to COLMAP (openMVG_main_openMVG2Colmap)", (r'"sfm_data_version"',)),
     Known("Meshroom's cameras.sfm", "export to COLMAP (ExportColmap)", (r'"(featuresFolders|poseId|viewId)"',)),

@@ -10,6 +10,7 @@ from pathlib import Path
 from lib.core import bounded
 from lib.core.stage import BadInput
 from lib.given import files_beside, gltf_file, mesh_files, mitsuba_models, obj_text, strangers_files, usd_models
+from lib.given.formats import LeftOut
 
 ONE_GROUP = "surface"
 MOST_LIBRARIES = 500  # names of an OBJ that are looked for
@@ -26,7 +27,8 @@ def convert(path) -> tuple[dict, list]:
     if kind == "a GLB file":
         return _of_glb(path, content)
     if kind == "a glTF file":
-        return {"model.glb": _packed(path, content)}, ["glTF and its buffers were packed into model.glb"]
+        packed, said = _packed(path, content)
+        return {"model.glb": packed}, ["glTF and its buffers were packed into model.glb", *said]
     if kind in ("a PLY file", "an STL file"):
         points, faces, said = mesh_files.read(path, content, "ply" if kind == "a PLY file" else "stl")
         text = mesh_files.obj([(ONE_GROUP, ONE_GROUP, points, faces)])
@@ -79,18 +81,32 @@ def _of_obj(path, content):
             said.append(line)
         elif file not in parts:
             parts[file] = obj_text.decoded(bounded.content(file, bounded.LARGEST_TEXT))
+    if obj_text.is_library(content) and not obj_text.names(content, "fo?"):
+        raise BadInput(f"{path}: is a library of materials (.mtl): give the .obj that names it")
+    if (unit := obj_text.unit(content)) not in (None, "m"):
+        said.append(f"a comment tells lengths in {unit}: if that is so, write model: {{unit: {unit}}}")
     if not rests:
         return {"model.obj": content}, said
     text = LIBRARY.sub(r"# \1", LIBRARY.sub("mtllib model.mtl", text, count=1) if parts else text)
     files = {"model.obj": text.encode()}
     if parts:
         files["model.mtl"] = "\n".join(parts.values()).encode()
+        known = set(obj_text.described(files["model.mtl"]))
+        if unknown := [name for name in obj_text.names(content, "usemtl") if name not in known]:
+            more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
+            named = ", ".join(f"{name:.80}" for name in unknown[:5])
+            said.append(
+                f"materials that no library describes, so that nothing is known of what they emit: {named}{more}"
+            )
         if doubled := obj_text.doubled(files["model.mtl"]):
             said.append(
                 f"materials that the libraries describe twice, otherwise, are one group: {', '.join(doubled[:5])}"
             )
         if clear := obj_text.clear(files["model.mtl"]):
             said.append(f"materials that let light through are taken for opaque ones: {', '.join(clear[:5])}")
+        left = LeftOut()
+        left.add("material picture", obj_text.pictures(files["model.mtl"]))
+        said += filter(None, [left.line()])
     return files, said
 
 
@@ -137,17 +153,28 @@ def _of_glb(path, content):
         gltf, binary, _ = gltf_file.of_glb(path, content)
         gltf_file.check(path, gltf)
         if gltf_file.is_one_file(gltf):
-            return {"model.glb": content}, []
-        return {"model.glb": gltf_file.packed(path, gltf, binary)}, ["buffers beside it were packed into model.glb"]
+            return {"model.glb": content}, _pictures(gltf)
+        said = _pictures(gltf)
+        return {"model.glb": gltf_file.packed(path, gltf, binary)}, [
+            "buffers beside it were packed into model.glb",
+            *said,
+        ]
     except DAMAGE as error:
         raise BadInput(f"{path}: not readable glTF: {type(error).__name__}: {error}") from None
 
 
+def _pictures(gltf):
+    """A copy in a scene's folder may be without them: said once, here."""
+    left = LeftOut()
+    left.add("material picture", len(gltf.get("images") or ()))
+    return [line for line in [left.line()] if line]
+
+
 def _packed(path, content):
-    """A GLB of a .gltf and its buffers, which lie beside it or in it."""
+    """(a GLB of a .gltf and its buffers, which lie beside it or in it, lines to say)"""
     try:
         gltf = gltf_file.table(path, content)
         gltf_file.check(path, gltf)
-        return gltf_file.packed(path, gltf)
+        return gltf_file.packed(path, gltf), _pictures(gltf)
     except DAMAGE as error:
         raise BadInput(f"{path}: not readable glTF: {type(error).__name__}: {error}") from None

@@ -104,7 +104,16 @@ def groups(gltf) -> list[str]:
     >>> groups({"materials": [{"name": "Paint"}, {}, {"name": "Paint"}, {"name": "Paint.2"}]})
     ['Paint', 'material 1', 'Paint.3', 'Paint.2']
     """
-    return apart([str(m.get("name") or f"material {k}") for k, m in enumerate(gltf.get("materials") or ())])
+    return apart([written(m.get("name")) or f"material {k}" for k, m in enumerate(gltf.get("materials") or ())])
+
+
+def written(name) -> str:
+    """A name as text that a file can hold: JSON may tell half a letter. Empty where it is none.
+
+    >>> written("Paint"), written(None), written("\\ud83d")
+    ('Paint', '', '?')
+    """
+    return "" if name is None else str(name).encode("utf-8", "replace").decode()
 
 
 def apart(names) -> list[str]:

@@ -28,13 +28,18 @@ FORMAT = Format(
         ("shapes of other kinds (serialized, hair, curves, sdfgrid ...)", "export them as PLY or OBJ"),
         ("parameters without a default, animations", "write their values into the file"),
         ("spheres and cylinders that are stretched, which Mitsuba does not stretch", "export them as PLY or OBJ"),
+        ("a shape of several materials, which versions before 2 part by their names", "export a shape for each"),
     ),
-    left_out=("lights without faces: point, spot, directional, constant, envmap, sky", "media, further sensors"),
+    left_out=(
+        "lights without faces: point, spot, directional, constant, envmap, sky",
+        "shapes that nothing shows (bsdf null), media, further sensors, pictures of materials",
+    ),
 )
 KNOWN = "rectangle, cube, disk, sphere, cylinder, obj, ply, stl"
 FILES = ("obj", "ply", "stl")
 ANALYTIC = ("disk", "cylinder")  # whose normals a mirroring does not turn round; those of all others it does
 GROUPS = ("merge", "shapegroup")
+CLEAR = ("dielectric", "thindielectric", "roughdielectric", "mask", "difftrans")  # let light through
 MOST_CORNERS = 2_000_000  # of all faces, of small files;
 CORNER_BYTES = 4  # and of large ones, so many bytes for each
 MOST_SHAPES = 200_000
@@ -52,7 +57,7 @@ class _Shapes:
         self.scene, self.parts, self.emits, self.refused = scene, [], {}, []
         self.groups, self.objects, self.left = Names(), Names(), LeftOut()
         self.size, self.meshes, self.numbers = scene.size, {}, {}
-        self.corners, self.visited, self.round, self.lights = 0, 0, False, Counter()
+        self.corners, self.visited, self.round, self.lights, self.clear = 0, 0, False, Counter(), {}
 
     def all(self):
         shapes = list(self.scene.root.iter("shape"))
@@ -73,6 +78,10 @@ class _Shapes:
         if self.lights:
             named = ", ".join(f"{kind} ({count})" if count > 1 else kind for kind, count in self.lights.items())
             said.append(f"lights without faces are left out, draw them: {named:.200}")
+        if self.clear:
+            named = ", ".join(f"{group:.80}" for group in list(self.clear)[:5])
+            said.append(f"materials that let light through are taken for opaque ones: {named}")
+        self.left.add("material picture", sum(t.get("type") == "bitmap" for t in self.scene.root.iter("texture")))
         self.left.add("sensor after the first", max(0, len(self.scene.root.findall("sensor")) - 1))
         line = self.left.line()
         return self.parts, self.emits, said + ([line] if line else [])
@@ -93,6 +102,8 @@ class _Shapes:
                 self.shape(group, T @ self.scene.placed(shape), f"{prefix}{name}.", depth + 1)
         elif kind not in (*FILES, *MAKERS):
             self.refused.append(f"{name:.80} ({kind})")
+        elif self.is_unseen(shape):
+            self.left.add("shape that nothing shows (bsdf null)")
         else:
             self.add(shape, kind, prefix + name, T)
 
@@ -123,6 +134,12 @@ class _Shapes:
         if np.ptp(lengths) > STRETCH * lengths.max():
             self.scene.refuse(f"shape {name:.80}: to_world stretches a {kind}, which Mitsuba does not: export an OBJ")
 
+    def is_unseen(self, shape):
+        """Is it a border of a medium alone? A lamp is seen."""
+        bsdfs = self.scene.named(shape, "bsdf")
+        lit = self.scene.named(shape, "emitter") + self.scene.named(shape, "luminaire")
+        return bool(bsdfs) and bsdfs[0].get("type") == "null" and not any(map(self.shines, lit))
+
     def group(self, shape, name):
         """A lamp is a group of its own; else the outermost material that has an id; else the shape."""
         for emitter in (*self.scene.named(shape, "emitter"), *self.scene.named(shape, "luminaire")):
@@ -130,19 +147,25 @@ class _Shapes:
                 group = self.groups(("lamp", id(shape), name), f"lamp-{name}", f"lamp {name}")
                 self.emits[group] = True
                 return group
-        for bsdf in self.scene.named(shape, "bsdf"):
-            while bsdf is not None:
-                if bsdf.get("id"):
-                    return self.groups(("bsdf", id(bsdf)), bsdf.get("id"), f"bsdf {bsdf.get('id')}")
-                inner = self.scene.named(bsdf, "bsdf")
-                bsdf = inner[0] if inner else None
-        return self.groups(("shape", id(shape)), shape.get("id") or shape.get("name") or name, f"shape {name}")
+        bsdfs = self.scene.named(shape, "bsdf")
+        if len(bsdfs) > 1:
+            self.scene.refuse(f"shape {name:.80}: has {len(bsdfs)} materials (bsdf): export a shape for each of them")
+        own = ("shape", id(shape)), shape.get("id") or shape.get("name") or name, f"shape {name}"
+        key, clear = None, False
+        while bsdfs:
+            (bsdf, *_), clear = bsdfs, clear or bsdfs[0].get("type") in CLEAR
+            if bsdf.get("id") and key is None:
+                key = ("bsdf", id(bsdf)), bsdf.get("id"), f"bsdf {bsdf.get('id')}"
+            bsdfs = self.scene.named(bsdf, "bsdf")
+        group = self.groups(*(key or own))
+        self.clear |= {group: True} if clear else {}
+        return group
 
     def shines(self, emitter):
-        """Is its radiance other than 0?"""
+        """Is its radiance other than 0? What tells no number (a picture, a file, blackbody, d65) is."""
         told = self.scene.value(emitter, "radiance")
         try:
-            return told is None or any(float(word) != 0 for word in told.replace(",", " ").split())
+            return not told or not told.strip() or any(float(word) != 0 for word in told.replace(",", " ").split())
         except ValueError:  # a colour as #rrggbb, a spectrum as wavelength:value
             return True
 

@@ -39,7 +39,11 @@ NO_LAMPS = "grey gray blue green red brown yellow beige pink orange white black 
 NO_LAMPS += " stone frame frames sill switch stand base pole shade cord cable holder"
 LAMPS, NO_LAMPS = frozenset(LAMPS.split()), frozenset(NO_LAMPS.split())
 SUFFIX = {".png": ".png", ".jpg": ".jpg", ".jpeg": ".jpg", ".tif": ".tif", ".tiff": ".tif", ".exr": ".exr"}
-ROOM_M = 60.0  # the longest side of a model that is likely in metres
+ROOM_M = 60.0  # the longest side of a model that is likely in metres;
+LIKELY_M = 20.0  # and of one in cm: a room of 5000 is 5 m of mm sooner than 50 m of cm
+# Letters that YAML takes for the end of a line, or does not take at all
+UNPRINTED = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
+LONGEST_KEY = 1000  # letters: YAML looks for the colon of a plain key in 1024
 DIAGONAL_35 = 43.267  # mm, of the film that EXIF's equivalent focal length is for
 
 
@@ -82,8 +86,8 @@ def make(folder, model, photograph, camera=None, picture=None, points=None, mega
         said += [f"camera: {line}" for line in found.said]
         if found.T is not None:
             lens = lenses.Lens(found.lens, found.intrinsics, found.width, found.height, found.T, str(camera))
-            if line := sight.unseen(lens, world):
-                said.append(f"camera: {line}")
+            guesses = filter(None, [sight.unseen(lens, world), sight.lying(lens, world)])
+            said += [f"camera: {line}" for line in guesses]
             hints += _up(found.T)
     if points:
         applied, lines = _points(folder / "pose.csv", points, world, unit, k)
@@ -156,10 +160,12 @@ def _says_lamp(name):
 
     >>> [_says_lamp(name) for name in ("CeilingLamp1", "led_strip", "BrushedAluminium", "light_oak", "Clamp")]
     [True, True, False, False, False]
+    >>> _says_lamp("007")
+    False
     """
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[^\W\d_A-Z]+", name)
     words = [word.lower() for word in words]
-    return any(word in LAMPS and after not in NO_LAMPS for word, after in zip(words, [*words[1:], ""], strict=True))
+    return any(word in LAMPS and after not in NO_LAMPS for word, after in zip(words, [*words[1:], ""], strict=False))
 
 
 def _of_the_model(path, size, picked):
@@ -202,7 +208,7 @@ def _unit(model):
     longest = float(np.ptp(model.vertices[np.unique(model.triangles)], axis=0).max())
     if longest <= ROOM_M:
         return None
-    unit, factor = next((u, f) for u, f in (("cm", 0.01), ("mm", 0.001)) if longest * f <= ROOM_M or u == "mm")
+    unit, factor = next((u, f) for u, f in (("cm", 0.01), ("mm", 0.001)) if longest * f <= LIKELY_M or u == "mm")
     why = f"it is {longest:.4g} long, which would be {longest * factor:.3g} m; the camera is read in metres"
     return _Unit(factor, f"model: {{unit: {unit}}}    # {why}")
 
@@ -229,21 +235,31 @@ def _exif_angle(photograph, size):
 
 
 def _word(name):
-    plain = re.fullmatch(r"[A-Za-z_][\w-]*", name) and name.lower() not in ("null", "true", "false")
-    return name if plain else json.dumps(name, ensure_ascii=False)
+    """A name as YAML reads it again: quoted where it would be no word, or would end the line that it stands in.
+
+    >>> _word("wall"), _word("1.0"), _word("a\\u2028b")
+    ('wall', '"1.0"', '"a\\\\u2028b"')
+    """
+    plain = re.fullmatch(r"[A-Za-z_][\w-]*", name, re.A) and name.lower() not in ("null", "true", "false")
+    return name if plain else UNPRINTED.sub(lambda c: f"\\u{ord(c[0]):04x}", json.dumps(name, ensure_ascii=False))
+
+
+def _key(name):
+    """The same as a key of a mapping in braces; a long one needs a mark of its own."""
+    return f"? {_word(name)} " if len(_word(name)) > LONGEST_KEY else _word(name)
 
 
 def _yaml(name, model, lamps, facts, hints, hfov):
-    values = ", ".join(f"{_word(g)}: unknown" for g in lamps)
+    values = ", ".join(f"{_key(g)}: unknown" for g in lamps)
     told = next((g for g in model.groups if g not in lamps), "wall")
     lines = [
         f"# {name}, by make new-scene. Every key: data/SCENE.md, section 3",
         f"# Groups of the model: {', '.join(map(_word, model.groups))}",
         "",
         "# The groups that emit. `unknown` is estimated; [r, g, b] where you know it, 1.0 = white in the photograph",
-        f"lamps: {{{values}}}" if lamps else f"# lamps: {{{_word(model.groups[0])}: unknown}}",
+        f"lamps: {{{values}}}" if lamps else f"# lamps: {{{_key(model.groups[0])}: unknown}}",
         "# A group whose reflectance you know, of 0 to 1, fixes the scale; without, light between surfaces has to",
-        f"# reference: {{{_word(told)}: [0.8, 0.8, 0.8]}}",
+        f"# reference: {{{_key(told)}: [0.8, 0.8, 0.8]}}",
         "# The camera's curve; auto takes the simplest of gamma, srgb, curve that fits",
         "# transfer: auto",
         *facts,

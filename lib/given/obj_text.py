@@ -12,6 +12,9 @@ WORDS = {
 }
 
 
+HEAD = 1 << 16  # bytes in which a comment may tell the unit
+
+
 def decoded(content) -> str:
     """Text of bytes in UTF-8, else Latin-1; lines end with a line feed."""
     try:
@@ -67,6 +70,42 @@ def names(content, word) -> list[str]:
 def is_library(content) -> bool:
     """Whether this is a library of materials."""
     return b"\0" not in content and re.search(r"^[ \t]*newmtl[ \t]+\S", decoded(content), re.M | re.I) is not None
+
+
+def described(content) -> list[str]:
+    """Materials of a library."""
+    return names(content, "(?i:newmtl)")
+
+
+def pictures(content) -> int:
+    """How many pictures the materials of a library name, but those of what emits.
+
+    >>> pictures(b"newmtl a\\nmap_Kd x.png\\nnewmtl b\\nmap_Kd x.png\\nbump -bm 1 y.png\\nmap_Ke z.png")
+    2
+    """
+    found = re.findall(
+        r"^[ \t]*(?:map_(?!ke)\w+|bump|norm|disp|decal|refl)[ \t]+([^\n]*)$", decoded(content), re.M | re.I
+    )
+    return len({line.split()[-1] for line in found if line.split()})
+
+
+UNIT = re.compile(
+    r"^[ \t]*#.*\bunits?\b[^\n]*?\b(mm|cm|in|ft|m|millimet|centimet|inch|feet|foot|met)(?:re|er)?(?:e?s)?\b",
+    re.M | re.I,
+)
+UNITS = {"millimet": "mm", "centimet": "cm", "inch": "in", "feet": "ft", "foot": "ft", "met": "m"}
+
+
+def unit(content) -> str | None:
+    """The unit that a comment tells, in our words.
+
+    >>> unit(b"# File units = centimeters\\nv 0 0 0"), unit(b"# Units: inches"), unit(b"# unit cube in a room")
+    ('cm', 'in', None)
+    """
+    head = decoded(content[:HEAD])
+    found = UNIT.search(head)
+    word = found[1].lower() if found and re.search(r"units?\b[ \t]*(?:[=:]|are\b|is\b|in\b)", found[0], re.I) else None
+    return UNITS.get(word, word)
 
 
 def emitting(content) -> list[str]:

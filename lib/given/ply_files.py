@@ -6,6 +6,7 @@ corners into fans, also where they are concave, and passes over strips.
 
 from __future__ import annotations
 
+import re
 import struct
 from typing import NamedTuple
 
@@ -97,10 +98,10 @@ def _of_strip(strip):
 
 def _header(path, content):
     """(format, elements, where the numbers begin)."""
-    end = content.find(b"end_header", 0, LONGEST_HEADER)
-    if end < 0:
+    found = re.search(rb"[\r\n][ \t]*end_header(?=\s)", content[:LONGEST_HEADER])  # not of a comment
+    if not found:
         raise BadInput(f"{path}: not a readable PLY: it has no end_header")
-    body = end + len(b"end_header")
+    end, body = found.start(), found.end()
     while content[body : body + 1] in (b" ", b"\t"):
         body += 1
     body += 2 if content[body : body + 2] == b"\r\n" else 1

@@ -7,6 +7,7 @@ import numpy as np
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes, and Blender's: y up, looking along -z
 INVERSE = "is it camera-to-world? extrinsics are world-to-camera"
 UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # a model with y up to one with z up
+EXPORT = "export the model with the camera's axes (Blender: glTF without +Y Up; OBJ with Forward Y, Up Z)"
 LYING = "or has the model another axis up than the camera takes, and is to be turned?"
 RAYS = 12, 9  # across and down
 MOST = 20_000  # triangles that the rays are tried on; larger models are left alone
@@ -35,6 +36,18 @@ def unseen(lens, model) -> str | None:
     shares = {hint: (inside(other, model), _shown(lens, other, model)) for hint, other in others.items()}
     best = max(shares, key=shares.get)
     return f"no pixel can show the model: {best}" if shares[best][1] > 0 else None
+
+
+def lying(lens, model) -> str | None:
+    """One line where a camera outside the model's box stands inside it, seeing fronts, if one of the two were turned.
+
+    It may be chance: this is a word when a scene is made, and refuses nothing.
+    """
+    T = lens.T_cam_ref
+    for turned, axes in ((T @ UPRIGHT, "y up, and the camera z up"), (T @ UPRIGHT.T, "z up, and the camera y up")):
+        if not inside(T, model) and inside(turned, model) and fronts(lens, turned, model):
+            return f"it stands outside the model's box, and inside it if the model had {axes}: {EXPORT}"
+    return None
 
 
 def _shown(lens, T_cam_world, model) -> float:

@@ -33,6 +33,19 @@ MARKS = {
     b"QC4DC4D6": "a file of Cinema 4D",
     b"# vtk DataFile": "a VTK file",
     b"# .PCD": "a point cloud (PCD)",
+    b"AC3D": "an AC3D file",
+    b"xof ": "a DirectX file (.x)",
+    b"*3DSMAX_ASCIIEXPORT": "an ASE file of 3ds Max",
+    b"$MeshFormat": "a mesh of Gmsh",
+    b"MeshVersionFormatted": "a mesh of Medit",
+    b"HIERARCHY": "a skeleton (BVH)",
+    b"\xfd7zXZ": "an xz archive",
+    b"BZh": "a bzip2 archive",
+    b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)",
+    b"II*\0": "a picture (TIFF)",
+    b"MM\0*": "a picture (TIFF)",
+    b"\x76\x2f\x31\x01": "a picture (EXR)",
     b"LASF": "a point cloud (LAS)",
     b"ASTM-E57": "a point cloud (E57)",
     b"SQLite format 3": "a database",
@@ -48,6 +61,7 @@ ELEMENTS = {
     b"<vtkfile": "a VTK file",
     b"<model": "a part of a 3MF file",
     b"<ifcxml": "an IFC file",
+    b"<materialx": "a MaterialX file, which has no faces",
 }
 IN_ZIP = {  # a name in a ZIP archive, near its beginning or in the list at its end
     b"3D/3dmodel.model": "a 3MF file",
@@ -58,7 +72,7 @@ IN_ZIP = {  # a name in a ZIP archive, near its beginning or in the list at its 
     b".skp": "a SketchUp file",
 }
 CONVERTED = ("a PLY file", "an STL file", "a glTF file", "a Mitsuba scene", "a USD file")  # by new-scene
-ARCHIVES = ("a gzip archive", "a ZIP archive", "a 7z archive", "a RAR archive")
+ARCHIVES = ("a gzip archive", "a ZIP archive", "a 7z archive", "a RAR archive", "an xz archive", "a bzip2 archive")
 CAD = (
     "a STEP file",
     "an IFC file",
@@ -118,6 +132,10 @@ def _of_text(content, head, start):
         small = head.lower()
         found = [(small.index(mark), kind) for mark, kind in ELEMENTS.items() if mark in small]
         return min(found)[1] if found else None
+    if start.startswith(b"{") and b'"metadata"' in head:
+        return "a JSON file of three.js"
+    if b"WorldBegin" in head or first in (b"LookAt", b"Camera") and b"Film" in head:
+        return "a scene of pbrt"
     if first in OFF or (first[:3] == b"OFF" and first[3:].isdigit()):
         return "an OFF file"
     if first in (b"0", b"999") and b"SECTION" in head:
@@ -139,6 +157,8 @@ def way_out(kind) -> str:
         return "unpack it, and export it as OBJ or GLB, with its materials"
     if kind in CAD:
         return "open it in FreeCAD or its own program, and export it as OBJ or GLB, with its materials"
+    if kind and kind.startswith("a picture"):
+        return "give it as PHOTO, and the 3D model as MODEL"
     if kind and kind.startswith("a point cloud"):
         return "make a mesh of it, or draw the surfaces"
     return "export it as OBJ or GLB, with its materials"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+# Inputs of UsdPreviewSurface, standard_surface and OpenPBR, and what they are of an opaque material
+CLEAR = {"opacity": 1.0, "geometry_opacity": 1.0, "transmission": 0.0, "transmission_weight": 0.0}
 BLENDER = "userProperties:blender:data_name"
 
 
@@ -33,12 +35,7 @@ def _content(prim):
 
 def emits(material) -> bool:
     """Does one of its shaders emit?"""
-    from pxr import Usd, UsdShade
-
-    for prim in Usd.PrimRange(material.GetPrim(), Usd.TraverseInstanceProxies()):
-        shader = UsdShade.Shader(prim)
-        if not shader:
-            continue
+    for shader in _shaders(material):
         told = {key: _input(shader, key) for key in ("emissiveColor", "emission", "emission_color")}
         told["luminance"] = _input(shader, "emission_luminance")
         if told["emissiveColor"]:  # UsdPreviewSurface
@@ -49,6 +46,32 @@ def emits(material) -> bool:
         if weight is None and told["emission_color"]:  # a shader that has no weight
             return True
     return False
+
+
+def clear(material) -> bool:
+    """Does one of its shaders let light through, everywhere?"""
+    for shader in _shaders(material):
+        for key, opaque in CLEAR.items():
+            given = shader.GetInput(key)
+            value = given.Get() if given and not given.HasConnectedSource() else None
+            try:
+                if value is not None and np.any(np.array(value, float) != opaque):
+                    return True
+            except (TypeError, ValueError):  # no numbers
+                continue
+    return False
+
+
+def pictures(material) -> int:
+    """How many of its shaders name a file."""
+    return sum(any(str(i.GetTypeName()) == "asset" for i in shader.GetInputs()) for shader in _shaders(material))
+
+
+def _shaders(material):
+    from pxr import Usd, UsdShade
+
+    shaders = map(UsdShade.Shader, Usd.PrimRange(material.GetPrim(), Usd.TraverseInstanceProxies()))
+    return [shader for shader in shaders if shader]
 
 
 def _input(shader, key):

@@ -26,7 +26,8 @@ FORMAT = Format(
         "meshes; cubes and planes; spheres, cylinders, cones and capsules as facets; what is in the purposes render "
         "and default, at the earliest time code",
         "sublayers, references, payloads, variants, inherits and instances, of files in the model's folder",
-        "point instancers; skinned meshes in their pose; bound materials and subsets of the family materialBind",
+        "point instancers; skinned meshes in their pose, in instances too",
+        "bound materials and subsets of the family materialBind",
     ),
     refused=(
         ("a file outside the model's folder, or one that is not there", FLAT),
@@ -36,7 +37,7 @@ FORMAT = Format(
     ),
     left_out=(
         "proxies and guides, invisible and inactive prims, holes",
-        "lights without faces, cameras, curves, points, volumes, prims of unknown types",
+        "lights without faces, cameras, curves, points, volumes, prims of unknown types, pictures of materials",
         "subdivision: the control cage is read",
     ),
 )

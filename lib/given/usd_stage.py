@@ -105,6 +105,7 @@ class _Reader:
         self.parts, self.emits, self.lights, self.cages, self.refused = [], {}, [], {}, []
         self.left, self.groups, self.objects = LeftOut(), Names(), Names()
         self.animated, self.first, self.visited, self.corners, self.round = set(), np.inf, 0, 0, False
+        self.looked, self.clear = set(), []
         self.shapes, self.counts, self.tangled, self.allowed = {}, {}, 0, 0
 
     def refuse(self, prim, problem):
@@ -125,6 +126,9 @@ class _Reader:
             said.append(f"{self.tangled} faces are in several subsets: the last one holds")
         said += [round_shapes.WORDS] if self.round else []
         said += self.groups.lines()
+        if self.clear:
+            named = ", ".join(f"{name:.80}" for name in self.clear[:5])
+            said.append(f"materials that let light through are taken for opaque ones: {named}")
         if self.lights:
             more = f" and {len(self.lights) - 5} more" if len(self.lights) > 5 else ""
             said.append(f"lights without faces are left out, draw them: {', '.join(self.lights[:5])}{more}")
@@ -136,15 +140,31 @@ class _Reader:
         """Skinned meshes get their points, at the earliest time code, in the session layer."""
         from pxr import Gf, Usd, UsdSkel
 
-        roots = [prim for prim in self.stage.Traverse() if prim.IsA(UsdSkel.Root)]
-        if not roots:
-            return
         self.stage.SetEditTarget(Usd.EditTarget(self.stage.GetSessionLayer()))
+        while shared := self.shared_skins():  # nothing can be written into an instance
+            for prim in shared:
+                prim.SetInstanceable(False)
+        roots = [prim.GetPath() for prim in self.stage.Traverse() if prim.IsA(UsdSkel.Root)]
         start = self.stage.GetStartTimeCode() if self.stage.HasAuthoredTimeCodeRange() else 0.0
-        for prim in roots:
-            if not UsdSkel.BakeSkinning(UsdSkel.Root(prim), Gf.Interval(start, start)):
+        for path in roots:  # what refers to one within the file is posed with it, and is no root any more
+            prim = UsdSkel.Root.Get(self.stage, path)
+            if prim and not UsdSkel.BakeSkinning(prim, Gf.Interval(start, start)):
                 self.left.add("unposed skin")
         self.places.Clear()
+
+    def shared_skins(self):
+        """Instances that hold a skinned mesh or are held by one, the outermost of each, without repetition."""
+        from pxr import Usd, UsdSkel
+
+        found = {}
+        for root in self.stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)):
+            if root.IsA(UsdSkel.Root):
+                prim = root
+                while prim.IsInstanceProxy():
+                    prim = prim.GetParent()
+                below = (one for one in Usd.PrimRange(prim) if one.IsInstance())
+                found |= {one.GetPath(): one for one in ([prim] if prim.IsInstance() else below)}
+        return list(found.values())
 
     def walk(self, root, frame):
         """All that is shown at and below a prim. frame : Frame of an instance, None: it stands in the stage"""
@@ -470,6 +490,11 @@ class _Reader:
         """The name of its group. One definition that is composed at several places is one material."""
         prim = material.GetPrim()
         name = self.groups(usd_materials.source(prim), prim.GetName(), str(prim.GetPath()))
-        if name not in self.emits and usd_materials.emits(material):
-            self.emits[name] = True
+        if name not in self.looked:
+            self.looked.add(name)
+            self.left.add("material picture", usd_materials.pictures(material))
+            if usd_materials.emits(material):
+                self.emits[name] = True
+            elif usd_materials.clear(material):
+                self.clear.append(name)
         return name

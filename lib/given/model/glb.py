@@ -127,7 +127,7 @@ class _Reader:
 
     def notes(self):
         """What is not read, and what was made of what is: when all meshes have been read."""
-        names = [str(m.get("name")) for m in self.gltf.get("materials") or ()]
+        names = [gltf_file.written(m.get("name")) for m in self.gltf.get("materials") or ()]
         apart = [self.groups[k] for k in sorted(self.used) if self.groups[k] != names[k] and names[k] in self.groups]
         if apart:
             self.say(f"materials of one name are groups of their own: {_listed(apart)}")
@@ -164,12 +164,13 @@ class _Reader:
         light = (node.get("extensions") or {}).get(gltf_file.LIGHTS)
         if light is not None:
             told = self.gltf.get("extensions", {}).get(gltf_file.LIGHTS, {}).get("lights", [])[light["light"]]
-            self.lights.append(str(node.get("name") or told.get("name") or told.get("type") or "light"))
+            self.lights.append(gltf_file.written(node.get("name") or told.get("name") or told.get("type") or "light"))
         return "mesh" in node
 
     def name(self, index):
         node = self.gltf["nodes"][index]
-        return str(node.get("name") or self.gltf["meshes"][node["mesh"]].get("name") or f"node {index}")
+        mesh = self.gltf["meshes"][node["mesh"]]
+        return gltf_file.written(node.get("name")) or gltf_file.written(mesh.get("name")) or f"node {index}"
 
     def names(self, names):
         """No two alike, but in a file of our own, where nodes of one name are one object."""
@@ -202,7 +203,9 @@ class _Reader:
             return sorted(set(range(len(nodes))) - {child for node in nodes for child in node.get("children", ())})
         k = self.gltf.get("scene", 0)
         if len(scenes) > 1:
-            self.say(f"it has {len(scenes)} scenes, of which '{str(scenes[k].get('name') or k):.80}' is read")
+            self.say(
+                f"it has {len(scenes)} scenes, of which '{gltf_file.written(scenes[k].get('name') or k):.80}' is read"
+            )
         return scenes[k].get("nodes", [])
 
     def instances(self, node, T_world_node):
