@@ -8,6 +8,8 @@ import pytest
 
 from lib.given import model as models
 from lib.given import new_scene
+from lib.planning import files as quick
+from lib.planning import folder
 from lib.planning import scene as scenes
 from lib.planning.pipeline import read_pipeline
 
@@ -84,3 +86,14 @@ def test_a_wall_of_any_name_that_no_lamp_is(tmp_path, name):
     scene, groups = scene_of(tmp_path, tmp_path / "a.glb")
     name = name.replace("\ud83d", "?")
     assert groups == (name,) and set(scene.lamps) <= {name}
+
+
+def test_an_object_of_another_format_is_no_silence(tmp_path):
+    """objects/chair.ply was passed over: the room was fitted without its chair."""
+    (tmp_path / "objects").mkdir()
+    for name in ("chair.ply", "table.GLB", "lamp.obj", "lamp.mtl", "notes.txt"):
+        (tmp_path / "objects" / name).touch()
+    assert [p.name for p in quick.unread_objects(tmp_path / "objects")] == ["chair.ply", "table.GLB"]
+    (tmp_path / "scene.yaml").write_text("lamps: {}")
+    problems = list(folder.folder_problems(scenes.read(tmp_path, read_pipeline(PIPELINE))))
+    assert any("chair.ply: is not read: objects/ takes .obj and .glb: export it so" in line for line in problems)

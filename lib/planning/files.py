@@ -107,6 +107,16 @@ MODEL = f"model.{'|'.join(GROUPS_OF)}"
 OBJECTS = "objects/"  # movable objects that are not in the model, a file each
 
 
+# Endings of models that objects/ does not take
+UNREAD_MODELS = (".gltf", ".ply", ".stl", ".usd", ".usda", ".usdc", ".usdz", ".xml", ".fbx", ".dae", ".3ds", ".blend")
+
+
+def unread_objects(folder) -> list[Path]:
+    """Models in a scene's folder objects/ (or None) that are not read, by name; endings in capitals are none."""
+    found = [p for p in folder.iterdir() if p.suffix[1:] not in GROUPS_OF] if folder else []
+    return sorted(p for p in found if p.suffix.lower() in (*UNREAD_MODELS, *(f".{end}" for end in GROUPS_OF)))
+
+
 def object_files(folder) -> list[Path]:
     """The models in a scene's folder objects/ (or None), by name."""
     return sorted(p for p in folder.iterdir() if p.suffix[1:] in GROUPS_OF) if folder else []

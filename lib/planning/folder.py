@@ -21,6 +21,7 @@ from lib.planning.files import (
     model_groups,
     object_files,
     photograph_of,
+    unread_objects,
 )
 from lib.planning.rules import NAME, show
 
@@ -176,6 +177,8 @@ def _object_problems(scene):
     """Names in objects/ that will not do."""
     if (scene.folder / "objects").is_file():
         yield f"{scene.folder / 'objects'}: is a file, not a folder"
+    for path in unread_objects(scene.given(OBJECTS)):
+        yield f"{path}: is not read: objects/ takes .obj and .glb: export it so"
     names = {}
     for path in object_files(scene.given(OBJECTS)):
         if not NAME.fullmatch(path.stem):
