@@ -29,31 +29,31 @@ class Outcome(NamedTuple):
     value: object = None
 
 
-def call(function, *arguments) -> Outcome:
+def call(function, *arguments, cpu_s=CPU_S) -> Outcome:
     """One call in a child of its own."""
-    return next(iter(calls([(function, *arguments)])))
+    return next(iter(calls([(function, *arguments)], cpu_s=cpu_s)))
 
 
-def calls(jobs, keep=True):
+def calls(jobs, keep=True, cpu_s=CPU_S):
     """Yields an Outcome for each (function, argument, ...), in order; a child goes on until one breaks it.
 
-    keep : whether what the calls return comes back, too
+    keep : whether what the calls return comes back, too;  cpu_s : from which a call hangs
     """
     jobs = list(jobs)
     done = 0
     while done < len(jobs):
-        for outcome in _batch(jobs[done:], keep):
+        for outcome in _batch(jobs[done:], keep, cpu_s):
             done += 1
             yield outcome
 
 
-def _batch(jobs, keep):
+def _batch(jobs, keep, cpu_s):
     """The outcomes of the jobs up to the first that ends its child."""
     reader, writer = os.pipe()
     gc.collect()
     if (child := os.fork()) == 0:
         os.close(reader)
-        _child(jobs, keep, writer)
+        _child(jobs, keep, cpu_s, writer)
     os.close(writer)
     got, open_end = 0, True
     with os.fdopen(reader, "rb") as answers:
@@ -75,14 +75,14 @@ def _batch(jobs, keep):
     if not open_end:
         ended = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
         hung = not ready or ended == signal.SIGXCPU
-        yield Outcome("hang" if hung else "crash", (f"signal {ended}",), CPU_S, _peak_mb())
+        yield Outcome("hang" if hung else "crash", (f"signal {ended}",), cpu_s, _peak_mb())
 
 
 class _Hang(BaseException):
     pass
 
 
-def _child(jobs, keep, writer):
+def _child(jobs, keep, cpu_s, writer):
     """Never returns."""
     status = 1
     try:
@@ -92,7 +92,7 @@ def _child(jobs, keep, writer):
         gc.freeze()  # what is loaded need not be looked at again and again
         with os.fdopen(writer, "wb", buffering=0) as answers:
             for job in jobs:
-                outcome = _outcome(job, keep)
+                outcome = _outcome(job, keep, cpu_s)
                 answers.write(pickle.dumps(outcome))
                 if outcome.end in ("hang", "memory"):
                     break
@@ -114,14 +114,14 @@ def _confine():
     signal.signal(signal.SIGPROF, late)
 
 
-def _outcome(job, keep):
+def _outcome(job, keep, cpu_s):
     function, *arguments = job
-    _limit_cpu()
+    _limit_cpu(cpu_s)
     _forget_peak()
     before, begin = _peak_mb(), time.process_time()
     value, lines = None, ()
     try:
-        signal.setitimer(signal.ITIMER_PROF, CPU_S)
+        signal.setitimer(signal.ITIMER_PROF, cpu_s)
         value = function(*arguments)
         end = "accepted"
     except BadInput as bad:
@@ -140,11 +140,11 @@ def _outcome(job, keep):
     return Outcome(end, lines, *cost, value if keep else None)
 
 
-def _limit_cpu():
+def _limit_cpu(cpu_s):
     """Code that never looks at signals is ended by the system, a little later."""
     used = int(time.process_time()) + 1
     hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-    resource.setrlimit(resource.RLIMIT_CPU, (used + int(CPU_S) + 2, hard))
+    resource.setrlimit(resource.RLIMIT_CPU, (used + int(cpu_s) + 2, hard))
 
 
 def _forget_peak():
