@@ -11,6 +11,7 @@ collect_ignore = [
     "lib/given/mrcal_process.py",  # runs under mrcal's own interpreter
     "lib/export/blender_process.py",  # under Blender's
 ]
+collect_ignore_glob = ["tests/data/*"]  # scripts that made fixtures, of programs that are not here
 
 
 @pytest.fixture(autouse=True)

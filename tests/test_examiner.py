@@ -182,7 +182,11 @@ CASES = {
         "model.obj: line 5: vertex x = nan",
     ),
     "corner missing": ("model.obj", lambda b: b.replace(b"f -4", b"f -40", 1), "model.obj: line 9: face index -40"),
-    "model is a photograph": ("model.obj", lambda b: b"\x89PNG\r\n\x1a\n" + bytes(99), "model.obj: not an OBJ file"),
+    "model is a photograph": (
+        "model.obj",
+        lambda b: b"\x89PNG\r\n\x1a\n" + bytes(99),
+        "model.obj: is a picture (PNG): give it as PHOTO",
+    ),
     "photograph cut short": ("left.png", lambda b: b[: len(b) // 2], "left.png: truncated"),
     "photograph damaged": ("left.png", lambda b: b[:400] + bytes([b[400] ^ 255]) + b[401:], "left.png: damaged"),
     "photograph empty": ("left.png", lambda b: b"", "left.png: the file is empty"),
