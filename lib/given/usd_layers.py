@@ -1,6 +1,6 @@
 """What composition of a USD file would read and make, found before it is done.
 
-    found = look("room.usda", "/home/me/room.usda", allow)     # BadInput: files outside, far too many prims
+    found = look("room.usda", "models/room.usda", allow)     # BadInput: files outside, far too many prims
 
 Each layer is opened alone, by Sdf, and its prims are listed. Then prims are counted as composition would make them:
 the opinions of a prim stand at several sites, (layer stack, path); its children are those of all its sites.
