@@ -70,8 +70,8 @@ def main(opt):
         with report.excluded("imports"):
             import scipy.sparse.csgraph  # noqa: F401  where lib/ imports late
 
-            from lib.analysis import describe, inversion
-            from lib.analysis.task import Task
+            from lib.analysis.answer import describe, inversion
+            from lib.analysis.answer.task import Task
             from lib.given import materials
         with report.timing("read"):
             task = Task.read(opt)
@@ -109,10 +109,11 @@ def main(opt):
 
 def by_the_paper(opt, task, report):
     """The printed alternation, which knows no causes and no ladder."""
-    from lib.analysis import agreement, paper
-    from lib.analysis.answers import Answer
-    from lib.analysis.explain import Explained
-    from lib.analysis.problem import scale
+    from lib.analysis.answer.answers import Answer
+    from lib.analysis.causes import agreement
+    from lib.analysis.causes.explained import Explained
+    from lib.analysis.fit import paper
+    from lib.analysis.fit.problem import scale
 
     trace = lambda iteration, image_rmse, state: report.trace(
         iteration=iteration, image_rmse=image_rmse, gamma=state.gamma

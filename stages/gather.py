@@ -39,7 +39,7 @@ def main(opt):
         with report.excluded("imports"):
             import cv2  # noqa: F401  where lib/ imports late
 
-            from lib.analysis import gather
+            from lib.analysis.seen import gather
             from lib.given.view import View
             from lib.light import factors_file
             from lib.light import surface as surfaces

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from lib.analysis import gather
-from lib.analysis.task import Task
+from lib.analysis.answer.task import Task
+from lib.analysis.seen import gather
 from lib.core import arrays
 from lib.core.arrays import Flag, Real, Size, Starts, Text, Whole
 from lib.core.stage import BadInput

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from lib.analysis import agreement, explain, strangers, unlike
-from lib.analysis.audit import Audit, Energy
-from lib.analysis.candidates import enough
-from lib.analysis.explain import Leave
-from lib.analysis.gather import Gathered, Tiles
-from lib.analysis.gauss_newton import gauss_newton
-from lib.analysis.problem import Halves
+from lib.analysis.answer import strangers
+from lib.analysis.answer.audit import Audit, Energy
+from lib.analysis.causes import agreement, explain, unlike
+from lib.analysis.causes.candidates import enough
+from lib.analysis.causes.explain import Leave
+from lib.analysis.fit.gauss_newton import gauss_newton
+from lib.analysis.fit.problem import Halves
+from lib.analysis.seen.gather import Gathered, Tiles
 from lib.given import jpeg
 from lib.given.falloff import Lens
 from lib.given.materials import Why

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib.analysis import gauss_newton, paper, transport
-from lib.analysis.equations import Equations, Layout, Unknowns
-from lib.analysis.problem import CauseTerms
-from lib.analysis.tile_pixels import TilePixels
-from lib.analysis.uncertainty import _Normal
+from lib.analysis.fit import gauss_newton, paper, transport
+from lib.analysis.fit.equations import Equations, Layout, Unknowns
+from lib.analysis.fit.problem import CauseTerms
+from lib.analysis.fit.uncertainty import _Normal
+from lib.analysis.seen.tile_pixels import TilePixels
 from lib.given import transfer_kinds
 from lib.given.transfer import CURVES, Metric, Transfer
 from tests.helpers.made_problems import COLOURS, made

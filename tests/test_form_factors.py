@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lib.analysis import gather
+from lib.analysis.seen import gather
 from lib.buffers import opengl
 from lib.given import model
 from lib.light import adapt, exact_factors, form_factors, hemicube, radiosity, surface

@@ -5,7 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from lib.analysis import facts, gather, glow
+from lib.analysis.causes import glow
+from lib.analysis.fit import facts
+from lib.analysis.seen import gather
 from lib.buffers import index_buffer
 from lib.given import image, materials, model
 from lib.given.view import View

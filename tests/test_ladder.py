@@ -1,4 +1,4 @@
-"""The reflectance ladder, lib/analysis/ladder.py and stages/fit.py: self-consistency laws.
+"""The reflectance ladder, lib/analysis/materials/ladder.py and stages/fit.py: self-consistency laws.
 
 The photographs here are made by our own renderer (lib.picture.rendering) in small rooms, with noise and 8 bits, from
 materials that the test chose.  The fit must find those materials, within its own sigma and the percent to which
@@ -16,11 +16,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis import ladder, misfits, rungs
-from lib.analysis.candidates import NATS
-from lib.analysis.climbing import Climb, Place
-from lib.analysis.misfits import Misfit
-from lib.analysis.strangers import Thing
+from lib.analysis.answer.strangers import Thing
+from lib.analysis.causes.candidates import NATS
+from lib.analysis.fit import misfits
+from lib.analysis.fit.misfits import Misfit
+from lib.analysis.materials import ladder, rungs
+from lib.analysis.materials.climbing import Climb, Place
 from lib.core import stage
 from tests.helpers import rooms
 from tests.helpers.small_scenes import Studio, fit_stage, photograph
@@ -119,7 +120,7 @@ def kinds(found):
 
 
 def test_a_diffuse_room_stays_diffuse_and_builds_nothing(room, monkeypatch):
-    from lib.analysis import ascent
+    from lib.analysis.materials import ascent
 
     monkeypatch.setattr(ascent, "site_of", lambda *_, **__: pytest.fail("a Site was built"))
     found, report = room.found({"picture": 0.3})
@@ -595,8 +596,8 @@ def test_a_group_that_is_off_by_far_the_most_is_tried(most, tried):
     """What it throws may be what is wrong with all others; where none stands out, none is."""
     from types import SimpleNamespace
 
-    from lib.analysis import own_materials
-    from lib.analysis.misfits import Misfit
+    from lib.analysis.answer import own_materials
+    from lib.analysis.fit.misfits import Misfit
 
     judged = {g: Misfit(excess, excess, 0.001, 50, 9000) for g, excess in enumerate([most] + 12 * [0.01])}
     audit = SimpleNamespace(flagged=lambda problem, judged: sorted(judged), given={})
@@ -612,7 +613,7 @@ def test_tiles_of_few_pixels_have_the_lamps_light(tmp_path):
     """Where the rest is saturated, a tile keeps a pixel or two in a penumbra: one shadow ray each says nothing."""
     from dataclasses import replace
 
-    from lib.analysis import gather
+    from lib.analysis.seen import gather
     from lib.light import lamps
 
     studio = Room(tmp_path, rooms.room() | rooms.LAMP | rooms.solid("table", 1.2, 0.8, 0.9, 2.4, 2.0, 1.0), CAMERA)

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis import lamp_lobe
-from lib.analysis.candidates import Candidate
-from lib.analysis.lamp_lobe import LampLobes, across, moved
+from lib.analysis.causes import lamp_lobe
+from lib.analysis.causes.candidates import Candidate
+from lib.analysis.causes.lamp_lobe import LampLobes, across, moved
 from lib.core.stage import BadInput
 from lib.given import materials
 from lib.given.transfer import Transfer

@@ -28,6 +28,17 @@ PACKAGES = (
     "synthetic",  # scenes with a known answer
 )
 
+# Packages with rooms: a room imports itself and those before it.
+ROOMS = {
+    "analysis": (
+        "seen",  # what tiles of the photograph show and receive
+        "fit",  # the inverse problem, its solution, sigma and evidence
+        "causes",  # what may be wrong with the picture as a whole
+        "materials",  # the ladder
+        "answer",  # what is said in the end
+    )
+}
+
 # Imported inside functions only, so that a stage pays for what it uses.
 HEAVY = {
     "open3d": "1 s, and only what casts rays needs it",
@@ -52,12 +63,12 @@ HEAVY = {
 # Other imports inside functions that stay, and why.
 LATE = {
     ("lib.core.artefact", "numpy"): "planning writes JSON and does without NumPy, 0.1 s of every `make`",
-    ("lib.analysis.own_materials", "lib.analysis.ascent"): "0.1 s of every fit; few scenes climb",
-    ("lib.analysis.inversion", "lib.analysis.ascent"): "the same",
-    ("lib.analysis.inversion", "lib.analysis.places"): "0.05 s: only where the light leaves a doubt",
-    ("lib.analysis.inversion", "lib.analysis.refine"): "0.06 s: the same",
-    ("lib.analysis.inversion", "lib.analysis.strangers"): "with them",
-    ("lib.analysis.answers", "lib.analysis.strangers"): "the same",
+    ("lib.analysis.answer.own_materials", "lib.analysis.materials.ascent"): "0.1 s of every fit; few scenes climb",
+    ("lib.analysis.answer.inversion", "lib.analysis.materials.ascent"): "the same",
+    ("lib.analysis.answer.inversion", "lib.analysis.seen.places"): "0.05 s: only where the light leaves a doubt",
+    ("lib.analysis.answer.inversion", "lib.analysis.answer.refine"): "0.06 s: the same",
+    ("lib.analysis.answer.inversion", "lib.analysis.answer.strangers"): "with them",
+    ("lib.analysis.answer.answers", "lib.analysis.answer.strangers"): "the same",
     ("lib.planning.augment", "lib.given.image"): "NumPy, and only where scene.yaml asks for changed pictures",
     ("lib.planning.augment", "lib.given.lenses"): "the same",
     ("lib.planning.augment", "lib.given.model"): "the same",
@@ -165,6 +176,32 @@ def test_a_package_imports_itself_and_those_before_it():
         )
 
 
+def room(module):
+    """
+    >>> room("lib.analysis.fit.problem"), room("lib.analysis")
+    ('fit', None)
+    """
+    return (module.split(".") + [None])[2]
+
+
+def test_every_room_is_in_the_list():
+    for name, rooms in ROOMS.items():
+        files = {path.relative_to(ROOT / "lib" / name).parts[0] for path in (ROOT / "lib" / name).rglob("*.py")}
+        assert files == {*rooms, "__init__.py"}
+        assert all((ROOT / "lib" / name / r / "__init__.py").read_text().startswith('"""') for r in rooms)
+
+
+def test_a_room_imports_itself_and_those_before_it():
+    for module in lib_modules():
+        rooms = ROOMS.get(package(module))
+        own = rooms and room(module)
+        complaints(
+            f"{module}:{i.line} imports {i.module}, which comes later"
+            for i in (imports(module) if own else ())
+            if i.module.startswith(f"lib.{package(module)}.") and rooms.index(room(i.module)) > rooms.index(own)
+        )
+
+
 def test_lib_knows_neither_stages_nor_tests():
     for module in lib_modules():
         complaints(
@@ -248,11 +285,16 @@ SOUND = {f"lib/{name}/__init__.py": '"""A package."""' for name in PACKAGES} | {
     "lib/given/a.py": "import numpy\nfrom lib.core import compiled_by\n",
     "lib/core/compiled_by.py": "def f():\n    import cv2\n",
     "lib/light/b_kernels.py": "import numpy as np\nfrom lib.core.compiled import njit\n",
+    **{f"lib/{name}/{room}/__init__.py": '"""A room."""' for name, rooms in ROOMS.items() for room in rooms},
+    "lib/analysis/fit/x.py": "from lib.analysis.seen.x import y\n",
+    "lib/analysis/seen/x.py": "y = 1\n",
     "lib/light/b.py": "from lib.light import b_kernels\nfrom lib.given import a\na.public\n",
 }
 CHECKS = {
     test_every_package_is_in_the_list: {"lib/other/__init__.py": '"""Not in the list."""'},
     test_a_package_imports_itself_and_those_before_it: {"lib/core/x.py": "def f():\n    from lib.given import a\n"},
+    test_every_room_is_in_the_list: {"lib/analysis/x.py": '"""A module that stands in no room."""'},
+    test_a_room_imports_itself_and_those_before_it: {"lib/analysis/seen/z.py": "from lib.analysis.fit import x\n"},
     test_lib_knows_neither_stages_nor_tests: {"lib/core/x.py": "import tests.helpers\n"},
     test_there_are_no_circles: {"lib/core/x.py": "from lib.core import y\n", "lib/core/y.py": "import lib.core.x\n"},
     test_no_module_takes_anothers_private_name: {"stages/x.py": "from lib.given import a as b\nb._c()\n"},

@@ -105,7 +105,7 @@ def test_a_cause_that_explain_forbids_asks_for_leave():
 
 def causes_of_the_contract():
     """Every cause that stands in SCENE.md's list of `why`, or that the code gives to Why(...)."""
-    found = set(re.findall(r'Why\(\s*"(\w+)"', "".join(p.read_text() for p in (ROOT / "lib/analysis").glob("*.py"))))
+    found = set(re.findall(r'Why\(\s*"(\w+)"', "".join(p.read_text() for p in (ROOT / "lib/analysis").rglob("*.py"))))
     text = (ROOT / "data/SCENE.md").read_text()
     listed = re.search(r"causes as above or (.*?)\.", text)[1]
     return found | set(re.findall(r"`(\w+)`", listed))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lib.analysis import patterned
-from lib.analysis.candidates import Candidate
+from lib.analysis.causes import patterned
+from lib.analysis.causes.candidates import Candidate
 from lib.picture.albedo_maps import AlbedoMap, unseen
 from tests.helpers.changed_scenes import deviated, vignetted
 from tests.helpers.made_problems import COLOURS, made

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from lib.analysis import places
-from lib.analysis.audit import looking_at
-from lib.analysis.refine import is_elsewhere
+from lib.analysis.answer.audit import looking_at
+from lib.analysis.answer.refine import is_elsewhere
+from lib.analysis.seen import places
 from lib.given import cameras
 from lib.given import model as models
 from lib.given.cameras import matrix_from_rt

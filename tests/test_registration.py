@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lib.analysis import places
+from lib.analysis.seen import places
 from lib.given import image, model
 from lib.given.cameras import Camera, matrix_from_rt, read_cameramodel
 from lib.given.view import View

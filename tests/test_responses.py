@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis import explain, matrix, responses
-from lib.analysis.candidates import Candidate, enough
-from lib.analysis.evidence import evidence, gain, likelihood
-from lib.analysis.explain import Leave
-from lib.analysis.gauss_newton import gauss_newton
-from lib.analysis.problem import TilePixels
+from lib.analysis.causes import explain, matrix, responses
+from lib.analysis.causes.candidates import Candidate, enough
+from lib.analysis.causes.explain import Leave
+from lib.analysis.fit.evidence import evidence, gain, likelihood
+from lib.analysis.fit.gauss_newton import gauss_newton
+from lib.analysis.fit.problem import TilePixels
 from lib.core.stage import BadInput
 from lib.given import materials, tone_curve
 from lib.given.materials import FoundTransfer, Materials

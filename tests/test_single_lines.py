@@ -6,13 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis import agreement, facts, gather, misfits, places
-from lib.analysis.climbing import Place
-from lib.analysis.gauss_newton import gauss_newton
-from lib.analysis.misfits import Misfit
-from lib.analysis.site import Site
-from lib.analysis.task import Task
-from lib.analysis.uncertainty import _Normal
+from lib.analysis.answer.task import Task
+from lib.analysis.causes import agreement
+from lib.analysis.fit import facts, misfits
+from lib.analysis.fit.gauss_newton import gauss_newton
+from lib.analysis.fit.misfits import Misfit
+from lib.analysis.fit.uncertainty import _Normal
+from lib.analysis.materials.climbing import Place
+from lib.analysis.materials.site import Site
+from lib.analysis.seen import gather, places
 from lib.core.stage import BadInput
 from lib.light.chains import GLOSSY, Finish
 from lib.light.factors_file import FormFactors

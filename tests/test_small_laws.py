@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib.analysis import agreement, candidates, evidence, inversion, misfits, vignetting
-from lib.analysis.candidates import Candidate
-from lib.analysis.gauss_newton import gauss_newton
-from lib.analysis.problem import Halves
+from lib.analysis.answer import inversion
+from lib.analysis.causes import agreement, candidates, vignetting
+from lib.analysis.causes.candidates import Candidate
+from lib.analysis.fit import evidence, misfits
+from lib.analysis.fit.gauss_newton import gauss_newton
+from lib.analysis.fit.problem import Halves
 from lib.given import model
 from lib.light import adapt, chains, lamps, mirror_view, paths, radiosity
 from lib.light import surface as surfaces

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib.analysis import gauss_newton, receivers, transport
-from lib.analysis import mixture as mixture_
-from lib.analysis import problem as problem_
-from lib.analysis.equations import Equations, Layout, Unknowns
+from lib.analysis.fit import gauss_newton, transport
+from lib.analysis.fit import mixture as mixture_
+from lib.analysis.fit import problem as problem_
+from lib.analysis.fit.equations import Equations, Layout, Unknowns
+from lib.analysis.seen import receivers
 from lib.given.rays_kernels import OFFSET
 from lib.given.transfer import Transfer
 from lib.light import (

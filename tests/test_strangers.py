@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from lib.analysis import agreement, strangers
+from lib.analysis.answer import strangers
+from lib.analysis.causes import agreement
 from lib.given.materials import Why
 
 CORNERS = np.array([[60, 40], [110, 35], [112, 90], [58, 95]])  # of a thing, x, y px

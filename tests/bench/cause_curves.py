@@ -96,9 +96,9 @@ def objects(case):
 
 def lamp_place(case):
     """The lamp in the model 12 cm from where it was."""
-    from lib.analysis import lamp_place as own
-    from lib.analysis.candidates import Candidate
-    from lib.analysis.direct_light import DirectLight
+    from lib.analysis.causes import lamp_place as own
+    from lib.analysis.causes.candidates import Candidate
+    from lib.analysis.seen.direct_light import DirectLight
     from lib.given.cameras import matrix_from_rt
     from lib.vision.registration.motions import corrected_model
 
@@ -119,8 +119,8 @@ def lamp_place(case):
 
 def lamp_lobe(case):
     """From the lambertian lamp that scene.yaml tells of."""
-    from lib.analysis import lamp_lobe as own
-    from lib.analysis.candidates import Candidate
+    from lib.analysis.causes import lamp_lobe as own
+    from lib.analysis.causes.candidates import Candidate
 
     problem, _ = case.problem(*SETTINGS[2])
     lobes, usual = own.LampLobes(lambda: case.view, case.factors, case.found, case.factors.lamps), own.ROUNDS
@@ -139,10 +139,10 @@ def glow():
     from pathlib import Path
     from shutil import copytree
 
-    from lib.analysis import gather
-    from lib.analysis import glow as own
-    from lib.analysis.candidates import Candidate
-    from lib.analysis.facts import problem_of
+    from lib.analysis.causes import glow as own
+    from lib.analysis.causes.candidates import Candidate
+    from lib.analysis.fit.facts import problem_of
+    from lib.analysis.seen import gather
 
     with tempfile.TemporaryDirectory() as folder:
         there = copytree(ROOT / "data/office", Path(folder) / "office")
@@ -170,8 +170,8 @@ def _project(K, T, points):
 
 def vignetting(case, light):
     """By none to four radial terms."""
-    from lib.analysis import vignetting as own
-    from lib.analysis.candidates import Candidate
+    from lib.analysis.causes import vignetting as own
+    from lib.analysis.causes.candidates import Candidate
     from lib.given.falloff import Lens
 
     H, W = light.shape[:2]
@@ -193,8 +193,8 @@ def vignetting(case, light):
 
 def matrix(case, light):
     """By none to six rounds."""
-    from lib.analysis import matrix as own
-    from lib.analysis.candidates import Candidate
+    from lib.analysis.causes import matrix as own
+    from lib.analysis.causes.candidates import Candidate
 
     mixed = np.clip(light @ np.transpose(MIXING), 0, 1) ** (1 / case.gamma)
     problem, _ = _problem(case, mixed)
@@ -210,7 +210,7 @@ def matrix(case, light):
 
 def response(case, light):
     """Hable's filmic curve, fitted as gamma, sRGB and a free curve."""
-    from lib.analysis.candidates import Candidate
+    from lib.analysis.causes.candidates import Candidate
     from lib.given.transfer import Transfer
 
     shape = lambda v: (v * (0.22 * v + 0.03) + 0.002) / (v * (0.22 * v + 0.3) + 0.06) - 1 / 30
@@ -224,7 +224,7 @@ def response(case, light):
 
 def noise(case, light):
     """Of the displayed values, and of as much in the sensor's light."""
-    from lib.analysis.candidates import Candidate
+    from lib.analysis.causes.candidates import Candidate
 
     shown, random = light ** (1 / case.gamma), np.random.default_rng(3)
     for sigma in (0.03, 0.1):

@@ -62,7 +62,8 @@ class Case:
 
     def problem(self, patches, contrast, rays, per_tile, per_facet):
         """The inverse problem, and the CPU seconds until it stands (index included)."""
-        from lib.analysis import facts, gather
+        from lib.analysis.fit import facts
+        from lib.analysis.seen import gather
         from lib.given.view import View
         from lib.light import adapt, factors_file, form_factors
         from lib.light import lamps as lamps_
@@ -102,7 +103,7 @@ class Case:
 
 def measure(log):
     """Rows of HEAD for `office` and `gallery-white`."""
-    from lib.analysis import gauss_newton, paper
+    from lib.analysis.fit import gauss_newton, paper
 
     methods = {
         "paper": lambda p, t: paper.paper(p, trace=t),

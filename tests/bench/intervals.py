@@ -58,9 +58,9 @@ def studio(folder, objects, camera, **fineness):
 def noise_sigma(problem, result):
     """(n,) what the pixels' noise alone makes of a value's error: (J'WJ + P)^-1 J'W V W J (J'WJ + P)^-1, on the
     diagonal; V of the tiles' means. What JPEG rounds nobody knows before: there V is what the tiles scatter by, the
-    channels of one together, as lib/analysis/uncertainty.py has it; they err together, since JPEG rounds light and not
-    channels."""
-    from lib.analysis.problem import weights
+    channels of one together, as lib/analysis/fit/uncertainty.py has it; they err together, since JPEG rounds light and
+    not channels."""
+    from lib.analysis.fit.problem import weights
 
     at = result.at
     weight = weights(problem, at.residual).reshape(-1, 1)
@@ -90,7 +90,9 @@ def photographs(linear, how, seeds):
 
 def under_noise(kind, seeds):
     """Rows (quantity, values, spread / noise sigma pooled, least, largest, share of means within 2 sigma)."""
-    from lib.analysis import explain, facts, gather
+    from lib.analysis.causes import explain
+    from lib.analysis.fit import facts
+    from lib.analysis.seen import gather
     from lib.buffers import trust
     from lib.given.view import View
 

@@ -6,7 +6,7 @@ The photograph is the model's own light, so the right answer is known to roundin
 import numpy as np
 from scipy.sparse import csr_array
 
-from lib.analysis import problem as problem_
+from lib.analysis.fit import problem as problem_
 from lib.given.transfer import Transfer
 from tests.helpers.truths import CUBE
 

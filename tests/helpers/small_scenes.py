@@ -242,7 +242,7 @@ class Studio:
 
         Returns the folder.
         """
-        from lib.analysis import gather
+        from lib.analysis.seen import gather
         from lib.buffers import trust
         from lib.given import image
         from lib.given.view import View

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from lib.analysis import explain
-from lib.analysis.gauss_newton import fit, gauss_newton
-from lib.analysis.responses import RESOLVED
+from lib.analysis.causes import explain
+from lib.analysis.causes.responses import RESOLVED
+from lib.analysis.fit.gauss_newton import fit, gauss_newton
 from tests.helpers import rooms, small_scenes
 from tests.helpers.boxes import look
 from tests.helpers.made_problems import COLOURS, made

@@ -1,0 +1,1 @@
+"""What may be wrong with the picture as a whole, or with what is told of it."""

@@ -1,0 +1,112 @@
+"""A fit of the whole picture with the causes that it took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lib.analysis.causes import lamp_lobe, vignetting
+from lib.analysis.causes.agreement import fits
+from lib.analysis.causes.candidates import NATS, Candidate
+from lib.analysis.fit.equations import Unknowns
+from lib.analysis.fit.gauss_newton import fit
+from lib.analysis.fit.problem import Problem, Result
+from lib.analysis.seen.gather import Gathered
+from lib.given.falloff import Lens
+from lib.given.view import View
+
+SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A fit, and the causes that it took.
+
+    scale : what fixed the scale of the light;  rivals : {kind: nats} of other transfer functions
+    taken : [Taken], in the order in which they were taken;  values : {cause: what it found}
+    given, best : the rough fits under the given facts and with the causes;  lens : None where nothing is known of it
+    """
+
+    problem: Problem
+    result: Result
+    scale: str
+    rivals: dict = field(default_factory=dict)
+    taken: list = field(default_factory=list)
+    values: dict = field(default_factory=dict)
+    given: Candidate | None = None
+    best: Candidate | None = None
+    lens: Lens | None = None
+
+    @property
+    def is_sure(self):
+        """No material could bring as much: the causes are taken even where groups are no diffuse ones."""
+        return not self.taken or sum(taken.nats for taken in self.taken) >= surely(self.problem)
+
+    def without_causes(self, **options) -> Explained:
+        """The fit under the given facts. options : of gauss_newton.gauss_newton"""
+        result, scale = fit(self.given.problem, start=self.given.start, **options)
+        return Explained(self.given.problem, result, scale, given=self.given, best=self.given, lens=self.lens)
+
+    def kept(self, **options) -> Explained:
+        """Without the causes where they do not suffice: what is wrong may be none of them, and they only bend to it."""
+        suffices = not self.taken or fits(self.result) or self.is_sure
+        return self if suffices else self.without_causes(**options)
+
+    @property
+    def lobes(self):
+        """{lamp: (4,) unit aim and exponent} that were found."""
+        found = self.values.get(lamp_lobe.NAME, {})
+        terms = self.problem.cause
+        return lamp_lobe.stepped(found, terms, self.result.state.cause) if found and terms else found
+
+    def sigma_of_lobe(self, lamp):
+        """(of the aim, degrees; of the exponent), None where they are not known."""
+        if self.result.cov_cause is None:
+            return None
+        k = list(self.values[lamp_lobe.NAME]).index(lamp)
+        own = np.flatnonzero(self.problem.cause.of(lamp_lobe.NAME))[3 * k : 3 * k + 3]
+        variance = np.diag(self.result.cov_cause)[own]
+        return np.degrees(np.sqrt(variance[:2].sum() / 2)), self.lobes[lamp][3] * np.sqrt(variance[2])
+
+    @property
+    def falloff(self):
+        """k of the lens, None where it is as bright in the corners."""
+        found = self.values.get("vignetting")
+        return None if found is None else found["k"]
+
+    def evened(self, gathered: Gathered) -> Gathered:
+        """Tiles as they would be without the lens's shadow."""
+        if self.falloff is None:
+            return gathered
+        return vignetting.corrected(gathered, self.lens, self.falloff, self.result.state.transfer)
+
+    def flattened(self, view: View, found: Gathered, **options):
+        """(self, view, found) where all causes stand fast; of the photograph without the lens's shadow."""
+        if self.problem.cause is None:
+            return self, view, found
+        state, found = self.result.state, self.evened(found)
+        problem = replace(self.problem, pixels=found.pixels, gain=None, cause=None)
+        result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
+        if self.falloff is not None:
+            view = vignetting.without(view, self.lens, self.falloff, state.transfer)
+        return replace(self, problem=problem, result=result, scale=scale), view, found
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A cause that was taken. nats : by which it beats what was there before;  rivals : {cause: nats} of the others"""
+
+    cause: str
+    nats: float
+    rivals: dict
+
+    @property
+    def name(self):
+        """As materials.json has it."""
+        return "curve" if self.cause == "response" else self.cause
+
+
+def surely(problem: Problem) -> float:
+    """Nats that nothing brings which only bends to a thing, a mirror or a lobe."""
+    return NATS + SURE_PER_TILE * len(problem.tile_group)

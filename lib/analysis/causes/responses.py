@@ -1,0 +1,117 @@
+"""Which transfer function the photograph supports: the simplest of gamma, sRGB and a free curve.
+
+Gamma is fitted first, roughly. One step from there towards a curve tells what more freedom would bring to the tiles
+that are held out; only where that is worth something sRGB is fitted, which has no free number, a curve where that may
+win, and gamma again where the curve is like one. A simpler function wins unless a curve beats it by more than chance. A
+function that scene.yaml names is never replaced; what beats it is its rival.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lib.analysis.causes.candidates import Candidate, enough
+from lib.analysis.fit.equations import smooth
+from lib.analysis.fit.evidence import promised
+from lib.analysis.fit.facts import USUAL_GAMMA
+from lib.analysis.fit.problem import CauseTerms, display_residual, observe
+from lib.analysis.fit.uncertainty import RESOLVED
+from lib.given.tone_curve import KNOTS
+from lib.given.transfer import Metric, Transfer
+
+ALIKE = 0.02  # display: a curve that is so near to a simpler function may be that one
+SURELY = 5  # times what a curve must bring: what is promised more is its, or sRGB's that is like it
+LIKELY = 0.6  # of the nats that a curve must bring, which a step must promise: they differ by a tenth
+
+
+def promise(found: Candidate) -> float:
+    """Nats that one step from the fit towards a free curve brings."""
+    at, problem = found.result.at, found.problem
+    curve = at.state.transfer.as_curve()
+    metric, seen = Metric(curve), observe(problem, curve.bare)
+    columns = metric.by_parameters(curve.mixed(at.state.B)) - metric.by_parameters(seen[0])
+    columns = columns - metric.slope(seen[0])[..., None] * seen[1]
+    prior = smooth(len(KNOTS))
+    return promised(problem, at, columns, at.layout.responding, prior).nats - found.evidence.nats
+
+
+def under_srgb(found: Candidate) -> Candidate:
+    """The fit with sRGB."""
+    srgb = Transfer("srgb", matrix=found.problem.transfer.matrix)
+    return Candidate.of(replace(found.problem, transfer=srgb, fit_transfer=False), found.taken, start=found.start)
+
+
+def fitted(found: Candidate, promised=np.inf) -> list[Candidate]:
+    """The fits under sRGB, which has no free number, with a free curve where so many nats promised let it win, and with
+    a gamma where the curve is like one. Where so much is promised that a curve wins, sRGB is fitted if it is like it.
+
+    promised : by `promise`; inf: all are to be compared
+    """
+    problem, result = found.problem, []
+    least = enough(problem, len(KNOTS) - found.complexity)
+    if promised < SURELY * least or np.isinf(promised):
+        result = [] if found.kind == "srgb" else [under_srgb(found)]
+        brought = max((c.evidence.nats - found.evidence.nats for c in result), default=0.0)
+        if promised - max(brought, 0.0) < LIKELY * least:
+            return result
+    mixed = {"matrix": problem.transfer.matrix}
+    curve = replace(Transfer("gamma", USUAL_GAMMA).as_curve(), **mixed)
+    # specular problems must begin where mirrors and lobes reflect as found
+    begun = lambda transfer: problem.specular and found.start._replace(transfer=transfer, near=None)
+    told = replace(problem, transfer=curve, fit_transfer=True)
+    free = Candidate.of(told, found.taken | {"curve": {}}, start=begun(curve))
+    function = free.result.state.transfer.bare
+    if not result and found.kind != "srgb" and _is_like(function, Transfer("srgb"), problem):
+        result.append(under_srgb(found))
+    own = problem.transfer.kind == "gamma" and problem.fit_transfer
+    if not own and _is_like(function, Transfer("gamma", USUAL_GAMMA), problem):
+        gamma = replace(Transfer("gamma", USUAL_GAMMA), **mixed)
+        told = replace(problem, transfer=gamma, fit_transfer=True)
+        result.append(Candidate.of(told, found.taken, start=begun(gamma)))
+    return [free, *result]
+
+
+def _is_like(function: Transfer, simple: Transfer, problem) -> bool:
+    """Over the light that the photograph shows, with the gamma that suits best."""
+    light = function.linear(np.linspace(*np.quantile(problem.photograph.display(), (0.01, 0.99)), 50))
+    shown = function.display(light)
+    if simple.kind == "gamma":
+        slope = np.polyfit(np.log(np.maximum(shown, 1e-6)), np.log(np.maximum(light, 1e-12)), 1)[0]
+        simple = simple.moved([np.clip(slope, *simple.bounds)])
+    return bool(np.abs(simple.display(light) - shown).max() < ALIKE)
+
+
+def simplest(candidates) -> Candidate:
+    """The one with the fewest free numbers that no other beats by enough, and by more than light is known to."""
+    best = None
+    for candidate in sorted(candidates, key=lambda c: c.complexity):
+        if best is None or candidate.is_worth(best) and _is_resolved(candidate, best):
+            best = candidate
+    return best
+
+
+def unresolved(candidates, best: Candidate, promised=None) -> float:
+    """Nats that functions bring that change the picture by less than light is known to: so much errors of it bring.
+
+    candidates : the first is where they began;  promised : by a curve from there, where none was fitted
+    """
+    bent = [c.evidence.nats - best.evidence.nats for c in candidates if not _is_resolved(c, best)]
+    if promised is not None and all(c.kind != "curve" for c in candidates):
+        bent.append(promised - (best.evidence.nats - candidates[0].evidence.nats))
+    return max(bent, default=0.0)
+
+
+def _is_resolved(one: Candidate, other: Candidate) -> bool:
+    return Candidate.off(one, other) >= RESOLVED
+
+
+def doubted(problem, state) -> CauseTerms | None:
+    """What the other one of gamma and sRGB would change: in a narrow range of light nothing tells them apart."""
+    transfer, B = state.transfer, state.B
+    other = {"gamma": Transfer("srgb"), "srgb": Transfer("gamma", USUAL_GAMMA)}.get(transfer.kind)
+    if other is None:
+        return None
+    there, here = (display_residual(problem, B, t)[0] for t in (replace(other, matrix=transfer.matrix), transfer))
+    return CauseTerms(("response",), (there - here)[..., None], np.ones(1))

@@ -1,0 +1,1 @@
+"""The reflectance ladder: groups that no diffuse surface explains."""

@@ -1,0 +1,1 @@
+"""What tiles of the photograph show and receive, and where its edges put things."""
