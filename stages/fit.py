@@ -109,8 +109,8 @@ def main(opt):
 
 def by_the_paper(opt, task, report):
     """The printed alternation, which knows no causes and no ladder."""
+    from lib.analysis.answer import disagreements
     from lib.analysis.answer.answers import Answer
-    from lib.analysis.causes import agreement
     from lib.analysis.causes.explained import Explained
     from lib.analysis.fit import paper
     from lib.analysis.fit.problem import scale
@@ -123,7 +123,7 @@ def by_the_paper(opt, task, report):
         raise stage.BadInput(f"--method {opt.method}: transfer: the printed alternation fits gamma alone")
     result = paper.paper(problem, gamma=opt.gamma, damped=opt.method == "damped", trace=trace)
     answer = Answer(Explained(problem, result, scale(problem)), problem, result, scale(problem))
-    answer.why = agreement.disagreements(problem, result, task.found, opt.transfer, {})
+    answer.why = disagreements.disagreements(problem, result, task.found, opt.transfer, {})
     return answer
 
 

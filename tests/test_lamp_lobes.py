@@ -11,9 +11,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis.causes import lamp_lobe
 from lib.analysis.causes.candidates import Candidate
-from lib.analysis.causes.lamp_lobe import LampLobes, across, moved
+from lib.analysis.causes.lamp_lobe import LampLobe, across, moved
 from lib.core.stage import BadInput
 from lib.given import materials
 from lib.given.transfer import Transfer
@@ -136,14 +135,14 @@ def unit(v):
 
 
 def under_a_lobe(true, seed):
-    """(problem, LampLobes) of a photograph under a lamp with that lobe."""
+    """(problem, LampLobe) of a photograph under a lamp with that lobe."""
     problem, rho, _ = made(COLOURS, seed=seed)
     rng = np.random.default_rng(seed)
     way = lambda n: throws.Throws(unit(rng.normal(size=(n, 1, 3)) * (1, 1, 0.3) - (0, 0, 1)), np.ones((n, 1)))
     tiles = SimpleNamespace(direct=problem.D_tile)
-    lobes = LampLobes(None, SimpleNamespace(lamp_factor=problem.D), SimpleNamespace(tiles=tiles), ("lamp",))
+    lobes = LampLobe(None, SimpleNamespace(lamp_factor=problem.D), SimpleNamespace(tiles=tiles), ("lamp",))
     lobes.__dict__["ways"] = {"lamp": (way(6), way(len(problem.tile_group)))}
-    lit, F = lobes.problem(problem, {"lamp": true}), problem.F.toarray()
+    lit, F = lobes.standing(problem, {"lamp": true}), problem.F.toarray()
     first = rho * (lit.D @ problem.emittance)
     b = np.stack([np.linalg.solve(np.eye(6) - rho[:, [c]] * F, first[:, c]) for c in range(3)], axis=1)
     B = rho[problem.tile_group] * (lit.D_tile @ problem.emittance + problem.G @ b)
@@ -161,7 +160,7 @@ def test_a_lobe_is_found_from_far_away(exponent):
         given = Candidate.of(problem)
         for aim in ((0, 0, -1), (0.8, 0.3, -0.6), (-0.8, 0.5, -0.5), (0.5, -0.9, -0.3)):
             for begin in (1.0, 3.0):
-                last = lamp_lobe.fitted(given, lobes, {"lamp": lobe(aim, begin)}).taken[lamp_lobe.NAME]["lamp"]
+                last = lobes.fitted(given, {"lamp": lobe(aim, begin)}).taken[lobes.name]["lamp"]
                 found += bool(last[:3] @ true[:3] > 0.9999 and abs(last[3] - exponent) < 0.05)
     assert found >= 22
 

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lib.analysis.causes import explain, matrix, responses
+from lib.analysis.causes import colour_mixing, explain, response
 from lib.analysis.causes.candidates import Candidate, enough
-from lib.analysis.causes.explain import Leave
+from lib.analysis.causes.colour_mixing import ColourMixing
+from lib.analysis.causes.scope import Scope
 from lib.analysis.fit.evidence import evidence, gain, likelihood
 from lib.analysis.fit.gauss_newton import gauss_newton
 from lib.analysis.fit.problem import TilePixels
@@ -98,14 +99,14 @@ def test_a_camera_that_mixes_colours_is_found_and_taken():
     problem, rho, _ = made(COLOURS, gamma=2.0, noise=0.01)
     camera = replace(problem.transfer, matrix=MIXING)
     mixed = replace(problem, pixels=camera.display(problem.transfer.linear(problem.pixels)))
-    found = explain.explain(replace(mixed, transfer=Transfer("gamma", 2.0)), Leave(), max_iterations=40)
+    found = explain.explain(replace(mixed, transfer=Transfer("gamma", 2.0)), Scope(), max_iterations=40)
     assert [t.cause for t in found.taken] == ["matrix"]
     M = np.array(found.result.state.transfer.matrix)
     np.testing.assert_allclose(M, MIXING, atol=0.05)
     np.testing.assert_allclose(M.sum(axis=1), 1, atol=1e-9)
     off = np.abs(found.result.state.rho - rho)[1:]
     assert off.max() < 0.02 and (off < 4 * found.result.sigma_rho[1:] + 1e-3).all()
-    unmixed = explain.explain(problem, Leave(), max_iterations=40)
+    unmixed = explain.explain(problem, Scope(), max_iterations=40)
     assert unmixed.taken == []
 
 
@@ -124,12 +125,12 @@ def test_derivatives_of_mixed_colours():
 def test_no_camera_mixes_colours_so_much():
     """The terms bend to anything: light of other colours at every second tile is no matrix."""
     problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)
-    found = matrix.fitted(Candidate.of(problem))
-    assert matrix.is_physical(found)
+    found = ColourMixing().fitted(Candidate.of(problem))
+    assert colour_mixing.is_a_cameras(found)
     wild = ((3.0, -2.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     transfer = replace(found.result.state.transfer, matrix=wild)
     found.result.state = replace(found.result.state, transfer=transfer)
-    assert not matrix.is_physical(found)
+    assert not colour_mixing.is_a_cameras(found)
 
 
 def test_what_helps_one_group_alone_is_told_from_what_helps_all():
@@ -154,7 +155,7 @@ def test_a_camera_mixes_colours_of_all_groups_in_one_way(groups, is_camera):
     shown = camera.display(problem.transfer.linear(problem.pixels))
     pixels = np.where(mixed[:, None], shown, problem.pixels)
     before = Candidate.of(replace(problem, pixels=pixels, transfer=Transfer("gamma", 2.0)))
-    assert matrix.is_of_the_camera(matrix.fitted(before), before) == is_camera
+    assert ColourMixing().is_physical(ColourMixing().fitted(before), before) == is_camera
 
 
 def test_sigma_knows_what_mixing_hangs_on_one_group():
@@ -166,10 +167,10 @@ def test_sigma_knows_what_mixing_hangs_on_one_group():
     bent = pixels + 0.02 * (group == 2)[:, None] * np.sign(pixels - pixels[group == 2].mean(axis=0)) * [1, -1, 1]
     sigma = []
     for values in (pixels, bent):
-        mixed = matrix.fitted(Candidate.of(replace(problem, pixels=values, transfer=Transfer("gamma", 2.0))))
+        mixed = ColourMixing().fitted(Candidate.of(replace(problem, pixels=values, transfer=Transfer("gamma", 2.0))))
         result = gauss_newton(mixed.problem, start=mixed.start)
-        sigma.append(np.array(matrix.spread(result.cov_cause)))
-        M = matrix.stepped(mixed.problem.transfer.matrix, result.state.cause)
+        sigma.append(np.array(colour_mixing.spread(result.cov_cause)))
+        M = colour_mixing.stepped(mixed.problem.transfer.matrix, result.state.cause)
         assert (np.abs(M - MIXING) < 3 * sigma[-1] + 0.01).all()
     assert np.abs(M - MIXING).max() > 0.05 and sigma[1].max() > 3 * sigma[0].max()
 
@@ -177,7 +178,7 @@ def test_sigma_knows_what_mixing_hangs_on_one_group():
 def test_sigma_knows_of_colours_in_doubt():
     problem, _, _ = made(COLOURS, gamma=2.0, noise=0.01)
     plain = Candidate.of(problem)
-    terms = matrix._cause(plain.result.at, ())
+    terms = ColourMixing().terms(plain.problem, plain.result.at, ())
     sure, unsure = (gauss_newton(p).sigma_rho for p in (problem, replace(problem, doubted=terms)))
     assert (unsure >= sure - 1e-12).all() and (unsure > 1.01 * sure).any()
 
@@ -199,7 +200,7 @@ def test_sigma_knows_what_a_narrow_range_does_not_tell(seed):
         start=np.arange(len(kept) + 1) * n,
         pixels=shown + 0.002 * np.random.default_rng(seed).standard_normal(shown.shape),
     )
-    doubted = replace(problem, doubted=responses.doubted(problem, Candidate.of(problem).result.state))
+    doubted = replace(problem, doubted=response.doubted(problem, Candidate.of(problem).result.state))
     off = lambda result: (np.abs(result.state.rho - rho)[1:] / result.sigma_rho[1:]).max()
     assert off(gauss_newton(problem)) > 3 > off(gauss_newton(doubted))
 
@@ -214,18 +215,18 @@ def test_a_function_that_changes_nothing_to_speak_of_is_not_taken():
         return found
 
     simple, bent, other = one(0.0, 1, 0.0), one(90.0, 9, 6e-4), one(90.0, 9, 2e-3)
-    assert responses.simplest([simple, bent]) is simple and responses.unresolved([simple, bent], simple) == 90
-    assert responses.simplest([simple, other]) is other and responses.unresolved([simple, other], simple) == 0
+    assert response.simplest([simple, bent]) is simple and response.unresolved([simple, bent], simple) == 90
+    assert response.simplest([simple, other]) is other and response.unresolved([simple, other], simple) == 0
 
 
 def test_a_curve_is_fitted_only_where_it_may_win():
     """sRGB has no free number and is asked first: a curve that could only be as good costs a fit for nothing."""
     found = Candidate.of(photographed(srgb_from_linear)[0])
     promised = 2 * enough(found.problem, 9)
-    assert [c.kind for c in responses.fitted(found, promised)] == ["srgb"]
+    assert [c.kind for c in response.fitted(found, promised)] == ["srgb"]
     film = Candidate.of(photographed(lambda light: 0.9 * light**0.55 / (1 - 0.1 * light))[0])
-    assert "curve" in {c.kind for c in responses.fitted(film, responses.promise(film))}
-    assert {c.kind for c in responses.fitted(found)} == {"curve", "srgb"}  # told functions are compared with all
+    assert "curve" in {c.kind for c in response.fitted(film, response.promise(film))}
+    assert {c.kind for c in response.fitted(found)} == {"curve", "srgb"}  # told functions are compared with all
 
 
 def photographed(shown, noise=0.01, seed=1, **more):
@@ -239,7 +240,7 @@ def photographed(shown, noise=0.01, seed=1, **more):
 @pytest.mark.parametrize("shown, kind", [(lambda B: B ** (1 / 1.8), "gamma"), (film, "curve"), (sigmoid, "curve")])
 def test_the_simplest_function_that_the_photograph_supports(shown, kind):
     problem, rho = photographed(shown)
-    chosen = explain.explain(problem, Leave(), max_iterations=40)
+    chosen = explain.explain(problem, Scope(), max_iterations=40)
     assert chosen.problem.transfer.kind == kind and chosen.result.converged
     seen = np.quantile(problem.photograph.linear(chosen.result.state.transfer)[0], (0.01, 0.99))
     light = np.linspace(*seen, 100)
@@ -248,7 +249,7 @@ def test_the_simplest_function_that_the_photograph_supports(shown, kind):
 
 def test_a_function_that_is_told_is_not_replaced_but_its_rival_is_named():
     problem, _ = photographed(sigmoid)
-    chosen = explain.explain(problem, Leave(response=False), max_iterations=40)
+    chosen = explain.explain(problem, Scope(response=False), max_iterations=40)
     assert chosen.problem.transfer.kind == "gamma" and chosen.rivals["curve"] > enough(problem)
 
 
@@ -285,7 +286,7 @@ def written(folder, **more):
 def test_a_measured_response_is_read_from_its_file(tmp_path):
     problem, rho = photographed(film)
     problem = replace(problem, transfer=materials.read_curve(written(tmp_path)), fit_transfer=False)
-    chosen = explain.explain(problem, Leave(response=False), max_iterations=40)
+    chosen = explain.explain(problem, Scope(response=False), max_iterations=40)
     assert chosen.problem.transfer.samples and chosen.result.converged and not chosen.rivals
     np.testing.assert_allclose(chosen.result.state.rho[:2], rho[:2], atol=0.01)
 
@@ -321,7 +322,7 @@ def test_a_measured_response_of_three_channels(tmp_path):
 def test_the_rival_of_a_measured_response_that_is_another_cameras(tmp_path):
     problem, _ = photographed(sigmoid)
     problem = replace(problem, transfer=materials.read_curve(written(tmp_path)), fit_transfer=False)
-    assert explain.explain(problem, Leave(response=False), max_iterations=40).rivals["curve"] > enough(problem)
+    assert explain.explain(problem, Scope(response=False), max_iterations=40).rivals["curve"] > enough(problem)
 
 
 @pytest.mark.parametrize(

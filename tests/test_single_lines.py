@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lib.analysis.answer.task import Task
-from lib.analysis.causes import agreement
+from lib.analysis.causes import told_lamps
 from lib.analysis.fit import facts, misfits
 from lib.analysis.fit.gauss_newton import gauss_newton
 from lib.analysis.fit.misfits import Misfit
@@ -92,7 +92,7 @@ def test_what_follows_a_cause_goes_where_least_squares_puts_it():
 def test_a_wrong_lamp_is_all_that_is_wrong_where_another_leaves_nothing(factor, alone):
     problem, _, _ = made(COLOURS, noise=0.01)
     told = replace(problem, emittance=problem.emittance * factor)
-    why, settled = agreement.lamps_told(told, gauss_newton(told))
+    why, settled = told_lamps.lamps_told(told, gauss_newton(told))
     assert bool(why) == settled == alone
 
 

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lib.analysis.answer import strangers
-from lib.analysis.causes import agreement
+from lib.analysis.answer import disagreements, strangers
 from lib.given.materials import Why
 
 CORNERS = np.array([[60, 40], [110, 35], [112, 90], [58, 95]])  # of a thing, x, y px
@@ -73,6 +72,6 @@ def test_a_jpeg_that_was_stored_anew_is_named_before_things_that_its_blocks_look
     """office at quality 30, stored as PNG, was said to lack three objects; nothing is said where all fits."""
     photograph = SimpleNamespace(lost_tables=blocks)
     proved, seen = Why("lamp_power", "lamp", "", 80.0), Why("object_missing", None, "", None)
-    why = agreement.of_the_file([proved, Why("unknown", None, "", None), seen], photograph)
+    why = disagreements.of_the_file([proved, Why("unknown", None, "", None), seen], photograph)
     assert [w.cause for w in why] == ["lamp_power", *(["noise"] if blocks else ["unknown"]), "object_missing"]
-    assert agreement.of_the_file([], photograph) == []
+    assert disagreements.of_the_file([], photograph) == []

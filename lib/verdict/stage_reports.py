@@ -49,6 +49,22 @@ class TransferModel:
     note: str | None = told(word())
 
 
+@dataclass(frozen=True)
+class Question:
+    """A row of `fit`: whether a cause explains the picture better (lib/analysis/causes/questions.py).
+
+    promised : nats of held-out tiles, by one step;  nats : of the fit;  dse : standard error of either, over groups
+    """
+
+    cause: str | None = told(word())
+    beside: list = told(list_with(word(), "words"), list)
+    promised: float | None = told(number())
+    nats: float | None = told(number())
+    dse: float | None = told(number())
+    least: float | None = told(number())
+    decision: str | None = told(word())
+
+
 class Seconds(NamedTuple):
     """Of the processor and on the clock; None where the report does not say."""
 
@@ -74,6 +90,7 @@ class StageReport:
     ladder: LadderSummary | None = part(LadderSummary, absent=True)
     misfit: float | None = told(number())
     transfer_models: list = list_of(TransferModel)
+    questions: list = list_of(Question)
     losses: dict = told(table, dict)
     apart: dict | None = None
 

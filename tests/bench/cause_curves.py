@@ -107,14 +107,14 @@ def lamp_place(case):
     thing, _ = own.Lamps.of(DirectLight(case.view, case.factors, case.found)).things[name]
     case.model = corrected_model(case.model, {thing: matrix_from_rt([0, 0, 0, 0.1, 0.066, 0])})
     problem, _ = case.problem(*SETTINGS[2])
-    lamps, usual = own.Lamps.of(DirectLight(case.view, case.factors, case.found)), own.ROUNDS
+    lamps, usual = own.Lamps.of(DirectLight(case.view, case.factors, case.found)), own.LampPlace.rounds
     first = Candidate.of(problem)
     yield "lamp_place", "as drawn", 0.0, case.errors(first.result.state)[0]
     for rounds in (1, 2, 3, 6):
-        began, own.ROUNDS = time.process_time(), rounds
-        found = own.fitted(first, lamps, name, 0.1)
+        began, own.LampPlace.rounds = time.process_time(), usual._replace(most=rounds)
+        found = own.LampPlace(lamps, name, 0.1).fitted(first)
         yield "lamp_place", f"{rounds} rounds", time.process_time() - began, case.errors(found.result.state)[0]
-    own.ROUNDS = usual
+    own.LampPlace.rounds = usual
 
 
 def lamp_lobe(case):
@@ -123,14 +123,14 @@ def lamp_lobe(case):
     from lib.analysis.causes.candidates import Candidate
 
     problem, _ = case.problem(*SETTINGS[2])
-    lobes, usual = own.LampLobes(lambda: case.view, case.factors, case.found, case.factors.lamps), own.ROUNDS
+    lobes, usual = own.LampLobe(lambda: case.view, case.factors, case.found, case.factors.lamps), own.LampLobe.rounds
     first = Candidate.of(problem)
     yield "lamp_lobe", "lambertian", 0.0, case.errors(first.result.state)[0]
-    for rounds in (2, 3, 4, 6, usual):
-        began, own.ROUNDS = time.process_time(), rounds
+    for rounds in (1, 2, 3, 5, usual.most):
+        began, own.LampLobe.rounds = time.process_time(), usual._replace(most=rounds)
         found = own.begun(first, own.uneven(first, lobes), lobes)
-        yield "lamp_lobe", f"{rounds - 1} rounds", time.process_time() - began, case.errors(found.result.state)[0]
-    own.ROUNDS = usual
+        yield "lamp_lobe", f"{rounds} rounds", time.process_time() - began, case.errors(found.result.state)[0]
+    own.LampLobe.rounds = usual
 
 
 def glow():
@@ -179,13 +179,14 @@ def vignetting(case, light):
     tangent = np.hypot(x, y) / np.hypot((W - 1) / 2, (H - 1) / 2) * np.tan(np.radians(37))
     problem, tiles = _problem(case, (light / (1 + tangent**2)[..., None] ** 2) ** (1 / case.gamma))
     lens, usual, spreads = Lens((case.camera.K[0, 2], case.camera.K[1, 2]), (W, H)), own.TERMS, own.SPREADS
+    cause = own.Vignetting(lens, tiles.pixel)
     for terms in (0, 1, 2, 3, 4):
         own.TERMS = terms
         own.SPREADS = tuple((s[0],) * (terms - usual) + s[max(usual - terms, 0) :] for s in spreads)
         own._lenses.cache_clear()
         began = time.process_time()
         found = Candidate.of(problem)
-        found = own.fitted(found, lens, tiles.pixel) if terms else found
+        found = cause.fitted(found) if terms else found
         yield "vignetting", f"{terms} terms", time.process_time() - began, case.errors(found.result.state)[0]
     own.TERMS, own.SPREADS = usual, spreads
     own._lenses.cache_clear()
@@ -193,19 +194,19 @@ def vignetting(case, light):
 
 def matrix(case, light):
     """By none to six rounds."""
-    from lib.analysis.causes import matrix as own
     from lib.analysis.causes.candidates import Candidate
+    from lib.analysis.causes.colour_mixing import ColourMixing
 
     mixed = np.clip(light @ np.transpose(MIXING), 0, 1) ** (1 / case.gamma)
     problem, _ = _problem(case, mixed)
-    usual, began = own.ROUNDS, time.process_time()
+    usual, began = ColourMixing.rounds, time.process_time()
     first = Candidate.of(problem)
     yield "matrix", "none", time.process_time() - began, case.errors(first.result.state)[0]
-    for own.ROUNDS in (1, 2, usual):
-        began = time.process_time()
-        found = own.fitted(first)
-        yield "matrix", f"{own.ROUNDS} rounds", time.process_time() - began, case.errors(found.result.state)[0]
-    own.ROUNDS = usual
+    for rounds in (1, 2, usual.most):
+        began, ColourMixing.rounds = time.process_time(), usual._replace(most=rounds)
+        found = ColourMixing().fitted(first)
+        yield "matrix", f"{rounds} rounds", time.process_time() - began, case.errors(found.result.state)[0]
+    ColourMixing.rounds = usual
 
 
 def response(case, light):

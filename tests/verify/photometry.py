@@ -10,7 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from lib.analysis.causes import explain
-from lib.analysis.causes.responses import RESOLVED
+from lib.analysis.causes.response import RESOLVED
+from lib.analysis.causes.scope import Scope
 from lib.analysis.fit.gauss_newton import fit, gauss_newton
 from tests.helpers import rooms, small_scenes
 from tests.helpers.boxes import look
@@ -54,7 +55,7 @@ def ends(value):
 @walk(PART, "every wall white", law="found", axis="1 - rho", at=[0.5, 0.1, 1e-2, 1e-3])
 def white(loss):
     problem, rho, _ = made(np.full(5, 1 - loss) - 0.1 * loss * np.arange(5), tiles=60, E=(0.15,))  # nothing saturated
-    found = explain.explain(problem, explain.Leave(causes=()), gamma=2.2, max_iterations=100).result
+    found = explain.explain(problem, Scope(allowed=()), gamma=2.2, max_iterations=100).result
     return near(found.state.rho, rho, 2e-3, iterations=found.iterations)
 
 

@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lib.analysis.causes import matrix, vignetting
+from lib.analysis.causes import colour_mixing, lamp_lobe
+from lib.analysis.causes.cause import believed
 from lib.analysis.fit.problem import MISFIT, Problem, Result, group_rmse
 from lib.analysis.materials.climbing import SPECULAR, Climb, Place
 from lib.analysis.seen.gather import Gathered
-from lib.core.record import plain
 from lib.core.report import Note
 from lib.given.kinds import RUNGS
 from lib.given.materials import Cause, Fit, FoundTransfer, Group, Lamp, LampSigma, Lobe, Materials, Rival, Rung, Sigma
 from lib.given.transfer import GAMMA_RANGE, Metric
 from lib.given.transfer_kinds import OF_PICTURE
-from lib.light.factors_file import OUTSIDE
 
 if TYPE_CHECKING:
     from lib.analysis.causes.explained import Explained
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 NONE = (0.0, 0.0, 0.0)
 CURVE_SAMPLES = 256
-MOST_OF_LAMP, MOST_OF_LENS = 10.0, 10.0  # standard deviations of an emittance, over it, and of k, that tell nothing
+MOST_OF_LAMP = 10.0  # standard deviation of an emittance, over it, that tells nothing
 FACTS = {"lamp_power", "lamp_colour", "lamp_flipped", "transfer", "range", "units", "up_axis", "camera"}  # told wrongly
 
 
@@ -66,7 +65,7 @@ def describe(
         if climb is not None:
             group = _of_rung(group, climb, g, (textures or {}).get(g))
         known = g in problem.known_groups and g not in specular and name not in accused
-        if group.sigma.rho_d is not None and _believed(group.sigma.rho_d, 1.0) is None:
+        if group.sigma.rho_d is not None and believed(group.sigma.rho_d, 1.0) is None:
             group = replace(group, identified=False, sigma=replace(group.sigma, rho_d=None))
         if why and not known:
             group = replace(group, identified=False, sigma=Sigma() if wrong else group.sigma)
@@ -97,52 +96,9 @@ def _causes(explained: Explained, problem, result) -> list[Cause]:
         if taken.cause == "response" and result.state.transfer.kind != "curve":
             continue  # sRGB in place of gamma is no deviation
         rivals = [Rival(cause, float(nats)) for cause, nats in taken.rivals.items()]
-        for subject, values, sigma in _found(explained, problem, result, taken.name):
+        for subject, values, sigma in explained.says(taken.cause, problem, result):
             causes.append(Cause(taken.name, subject, values, sigma, float(taken.nats), rivals))
     return causes
-
-
-def _found(explained: Explained, problem, result, name):
-    """[(subject, values, sigma)] of a cause that was taken. problem, result : of the last fit"""
-    values = explained.values.get(name, {})
-    if name == "lamp_lobe":
-        lobes = explained.lobes.items()
-        return [(lamp, plain(_lobe(lobe)), _sigma_of_lobe(explained, lamp)) for lamp, lobe in lobes]
-    if name == matrix.NAME:
-        M, sigma = _mixing(problem, result), None
-        if result.cov_cause is not None:
-            own = problem.cause.of(name)
-            sigma = {"matrix": matrix.spread(result.cov_cause[np.ix_(own, own)])}
-        return [(None, {"matrix": [list(row) for row in M]}, sigma)]
-    if name == "glow":
-        return [
-            (None, _glow(explained, result.state.E), result.sigma_E is not None and _glow(explained, result.sigma_E))
-        ]
-    if name == "vignetting":
-        values = {"k": list(map(float, values["k"])), "centre_px": list(values["centre_px"])}
-        if result.cov_cause is not None and (own := problem.cause.of(name)).any():
-            values["k"] = (values["k"] + vignetting.change(result.state.cause[own])).tolist()
-            sigma = _believed(vignetting.sigma(result.cov_cause[np.ix_(own, own)]), MOST_OF_LENS)
-            return [(None, values, sigma and {"k": sigma})]
-    return [(None, dict(values), None)]
-
-
-def _glow(explained, E):
-    """Radiosity of the glow from outside and its changes, see outside.Outside, of emittances (L, C) or their sigma."""
-    even, *changes = (list(_three(E[explained.problem.lamps.index(name)])) for name in OUTSIDE)
-    return {"radiosity": even, "gradient": changes[:3], "curvature": changes[3:]}
-
-
-def _sigma_of_lobe(explained, lamp):
-    sigma = explained.sigma_of_lobe(lamp)
-    if sigma is None or _believed(sigma[0], 180.0) is None:
-        return None
-    return {"aim_deg": float(sigma[0]), "exponent": float(sigma[1])}
-
-
-def _believed(sigma, most):
-    """Standard deviations, None where one is beyond all that the value may be: then nothing is known of it."""
-    return sigma if sigma is not None and np.max(sigma) <= most else None
 
 
 def _three(values):
@@ -226,9 +182,9 @@ def _lamp(problem, result, k, scale, explained: Explained, told, moved) -> Lamp:
     reflects = problem.rho[problem.groups.index(name)]
     sigma = {}
     if not known and result.sigma_E is not None and scale != "convention":
-        sigma["emittance"] = _believed(_three(result.sigma_E[k]), MOST_OF_LAMP * np.abs(result.state.E[k]).max())
+        sigma["emittance"] = believed(_three(result.sigma_E[k]), MOST_OF_LAMP * np.abs(result.state.E[k]).max())
     if name in explained.lobes:
-        sigma |= _sigma_of_lobe(explained, name) or {}
+        sigma |= lamp_lobe.sigma_of(name, explained.lobes, explained.problem, explained.result) or {}
     if name in moved:
         sigma["offset_m"] = _three(moved[name].sigma["offset_m"])
     lobe = {**told, **explained.lobes}.get(name)
@@ -253,7 +209,7 @@ def _transfer(problem, result, asked, rivals, curve) -> FoundTransfer:
     told = {"asked": asked if isinstance(asked, str) else None, "rivals": rivals or None}
     if transfer.matrix:
         kind = "curve"  # which alone has a matrix in the file
-        told["matrix"] = _mixing(problem, result)
+        told["matrix"] = colour_mixing.found_in(problem, result)
     if kind == "gamma":
         return FoundTransfer(kind, float(transfer.gamma), sigma=result.sigma_gamma, **told)
     if kind != "curve":
@@ -270,14 +226,6 @@ def _transfer(problem, result, asked, rivals, curve) -> FoundTransfer:
         sigma=_curve_sigma(problem, result, I),
         **told,
     )
-
-
-def _mixing(problem, result):
-    """(3, 3) M after the last step of the fit, where the result has one: the ladder holds all causes fast."""
-    M, step = result.state.transfer.matrix, result.state.cause
-    if step is not None and (own := problem.cause.of(matrix.NAME)).any():
-        M = tuple(map(tuple, matrix.stepped(M, step[own]).tolist()))
-    return M
 
 
 def _curve_sigma(problem, result, I):

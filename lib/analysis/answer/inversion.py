@@ -14,16 +14,28 @@ from pathlib import Path
 
 import numpy as np
 
-from lib.analysis.answer import blackness
+from lib.analysis.answer import blackness, disagreements
 from lib.analysis.answer.answers import Answer, answered, audit_of, looked, things_of
 from lib.analysis.answer.own_materials import materials
 from lib.analysis.answer.task import Task
-from lib.analysis.causes import agreement, explain, glow, lamp_lobe, matrix, responses, unlike
-from lib.analysis.causes.agreement import in_doubt
+from lib.analysis.causes import (
+    colour_mixing,
+    explain,
+    gammas,
+    glow,
+    lamp_lobe,
+    one_object,
+    response,
+    search,
+    told_lamps,
+    told_reference,
+    told_transfer,
+)
 from lib.analysis.causes.candidates import Candidate, enough
-from lib.analysis.causes.explain import Leave
+from lib.analysis.causes.colour_mixing import ColourMixing
 from lib.analysis.causes.explained import Explained
-from lib.analysis.causes.lamp_lobe import LampLobes
+from lib.analysis.causes.lamp_lobe import LampLobe
+from lib.analysis.causes.scope import Scope
 from lib.analysis.fit.problem import Problem
 from lib.analysis.materials.climbing import SPECULAR
 from lib.core.report import Note, Report
@@ -43,9 +55,11 @@ def solve(task: Task, report: Report) -> Answer:
     once = lambda task: _solved(task, report)
     dark = blackness.groups(task)
     answer = blackness.solved(task, dark, once) if dark else once(task)
-    answer.why = agreement.of_the_file(answer.why, task.view().photograph) if task.can_look else answer.why
+    answer.why = disagreements.of_the_file(answer.why, task.view().photograph) if task.can_look else answer.why
     if answer.ladder:
         report["ladder"] = answer.ladder
+    if task.asked:
+        report["questions"] = [question.row() for question in task.asked]
     return answer
 
 
@@ -59,19 +73,19 @@ def _solved(task: Task, report: Report) -> Answer:
     may_refine = task.may_refine and edges is not None
     if may_refine and (edges.is_lost or edges.allowed(task.allowed)):
         # whatever else the photograph might tell would only bend to this
-        answer = answered(explain.as_given(task.problem, gamma=task.gamma, **options))
+        answer = answered(search.as_given(task.problem, gamma=task.gamma, **options))
         answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
-        if answer.refined is not None or edges.is_lost and in_doubt(answer.result):
+        if answer.refined is not None or edges.is_lost and answer.result.in_doubt:
             return answer
-    leave, first = _leave(task), _begun(task, edges, trace)
+    scope, first = _scope(task), _begun(task, edges, trace)
     if task.around is not None and isinstance(first, Candidate) and glow.may_come_in(*task.lambertian, first):
-        task = task.around()
+        task = replace(task.around(), asked=task.asked)
         unsure = functools.cache(functools.partial(glow.unsure, task.view(), task.factors, task.found))
-        leave, first = _leave(task), glow.in_the_dark(first, task.problem, unsure)
+        scope, first = _scope(task), glow.in_the_dark(first, task.problem, unsure)
     may_move = may_refine and "lamp_place" in task.allowed and not edges.why
-    if task.can_look and (answer := _at_once(task, first, leave, may_move, edges)):
+    if task.can_look and (answer := _at_once(task, first, scope, may_move, edges)):
         return answer
-    explained = explain.without_lobes(first, leave, **options)
+    explained = search.with_causes(first, scope, **options)
     if not task.can_look:
         answer = answered(explained.kept(**options))
         answer.why = _why(task, answer, edges)
@@ -82,10 +96,10 @@ def _solved(task: Task, report: Report) -> Answer:
     things = _things_in_doubt(task, seen)
     if why := _something_missing(task, seen, edges, things) or _another_material(task, seen):
         return replace(seen, why=why)
-    lamps = _lamps(task, explained, things, leave, may_move, options)
+    lamps = _lamps(task, explained, things, scope, may_move, options)
     if lamps.lobed is None:
         return _moved(explained, lamps.elsewhere)
-    return _materials(task, seen, lamps, edges, leave, report, options)
+    return _materials(task, seen, lamps, edges, scope, report, options)
 
 
 @dataclass(frozen=True)
@@ -97,28 +111,28 @@ class _Lamps:
     lobed: Explained | None  # with lobes, if any explain more; None where a lamp elsewhere does
 
 
-def _lamps(task, explained, things, leave, may_move, options) -> _Lamps:
+def _lamps(task, explained, things, scope, may_move, options) -> _Lamps:
     # no lamp throws light with an outline
-    may_throw = leave.lobes is not None and leave.lobes.asked
+    may_throw = scope.lobes is not None and scope.lobes.asked
     is_patch = not may_throw and any(thing.is_sharp and thing.on_plain for thing in things)
-    may_move = may_move and not is_patch and bool(explained.taken or in_doubt(explained.result))
+    may_move = may_move and not is_patch and bool(explained.taken or explained.result.in_doubt)
     elsewhere = _by_light(task, explained) if may_move else None
     if elsewhere is not None:
-        uneven = explain.lobes_may_explain(explained, leave, elsewhere.nats)
-        return _Lamps(elsewhere, None, explain.with_lobes(explained, leave, **options) if uneven else None)
+        uneven = explain.lobes_may_explain(explained, scope, elsewhere.nats)
+        return _Lamps(elsewhere, None, explain.with_lobes(explained, scope, **options) if uneven else None)
     # where the lamps stand right, lines are no shadows' either
     is_patch |= not may_throw and any(thing.outlined and thing.on_plain for thing in things)
     beside = _by_light(task, explained, beside_mirrors=True) if may_move else None
-    no_lobe = is_patch or beside is not None and not explain.lobes_may_explain(explained, leave, beside.nats)
-    return _Lamps(None, beside, explained if no_lobe else explain.with_lobes(explained, leave, **options))
+    no_lobe = is_patch or beside is not None and not explain.lobes_may_explain(explained, scope, beside.nats)
+    return _Lamps(None, beside, explained if no_lobe else explain.with_lobes(explained, scope, **options))
 
 
-def _materials(task, seen: Answer, lamps: _Lamps, edges, leave, report, options) -> Answer:
+def _materials(task, seen: Answer, lamps: _Lamps, edges, scope, report, options) -> Answer:
     """The ladder under what explains the picture as a whole, or lamps in its place where they explain more."""
     explained, lobed = seen.explained.kept(**options), lamps.lobed
     plain, in_lobes = task, task.in_lobes(lobed.lobes)
-    outdone = lamps.elsewhere is not None and not leave.lobes.asked and lamps.elsewhere.nats > lobed.best.evidence.nats
-    if lobed.lobes and not outdone and (leave.lobes.asked or _suffices(task, explained, in_lobes, lobed)):
+    outdone = lamps.elsewhere is not None and not scope.lobes.asked and lamps.elsewhere.nats > lobed.best.evidence.nats
+    if lobed.lobes and not outdone and (scope.lobes.asked or _suffices(task, explained, in_lobes, lobed)):
         task, explained = in_lobes, lobed
     is_seen = explained is seen.explained
     audit, judged = (seen.audit, seen.judged) if is_seen else looked(task, explained)
@@ -126,20 +140,20 @@ def _materials(task, seen: Answer, lamps: _Lamps, edges, leave, report, options)
     if lamps.elsewhere is not None and task is plain:
         return _moved(explained, lamps.elsewhere, ladder)
     beside = lamps.beside
-    wrong, answer = explain.lamps_told_wrong(explained, leave, **options), None
+    wrong, answer = explain.lamps_told_wrong(explained, scope, **options), None
     if _outdoes(beside, explained, wrong):
         wrong = []
     if not wrong or audit.flagged(explained.problem, judged) or audit.stands_out(explained, judged):
-        answer = materials(task, explained, audit, judged, report, leave)
+        answer = materials(task, explained, audit, judged, report, scope)
     if wrong and not (answer and _mirrors_suffice(answer)):  # what mirrors throw may look like other lamps
         answer = answered(explained, audit, judged, ladder=ladder)
-        answer.why = agreement.joined(wrong, _missing(task, explained, audit))
+        answer.why = disagreements.joined(wrong, _missing(task, explained, audit))
         return answer
     ladder |= answer.ladder
     may_stand_elsewhere = beside is not None and not (lobed.lobes and beside.nats <= lobed.best.evidence.nats)
-    if may_stand_elsewhere and not agreement.fits(answer.result):
+    if may_stand_elsewhere and not answer.result.fits:
         return _moved(explained, beside, ladder)
-    if lobed.lobes and task is plain and not agreement.fits(answer.result):
+    if lobed.lobes and task is plain and not answer.result.fits:
         task, answer = in_lobes, _nearest(lobed, answer, *looked(in_lobes, lobed))
     answer.ladder = ladder
     answer.warnings += [
@@ -165,10 +179,10 @@ def _moved(explained, refined, ladder=()) -> Answer:
 
 def _doubt_facts(task, answer: Answer):
     """Widen every sigma by what else may be as well of what is told."""
-    agreement.doubt_told(answer.problem, answer.result, task.transfer)
-    agreement.doubt_references(answer.problem, answer.result)
+    told_transfer.doubt_told(answer.problem, answer.result, task.transfer)
+    told_reference.doubt_references(answer.problem, answer.result)
     if not answer.climb:
-        agreement.doubt_srgb(answer.explained.given, answer.explained.best, answer.result)
+        told_lamps.doubt_srgb(answer.explained.given, answer.explained.best, answer.result)
 
 
 def _outdoes(beside, explained, why) -> bool:
@@ -185,20 +199,20 @@ def _nearest(lobed, plain: Answer, audit, judged) -> Answer:
     return answered(lobed, audit, judged)
 
 
-def _leave(task) -> Leave:
-    return Leave.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes)
+def _scope(task) -> Scope:
+    return Scope.of(task.camera, task.found, task.transfer, task.causes, task.lamp_lobes, task.asked)
 
 
 def _begun(task, edges, trace) -> Candidate | Problem:
     """The rough fit under the given facts."""
     problem = task.problem if edges is None else replace(task.problem, unsure=_unsure(task, edges))
-    return explain.started(problem, _leave(task), task.gamma, trace)
+    return search.started(problem, _scope(task), task.gamma, trace)
 
 
 def _mirrors_suffice(answer) -> bool:
     """Mirrors and lobes have climbed, and leave nothing to explain that other lamps might."""
     climbed = answer.climb is not None and _all_mirrors(answer.climb)
-    return climbed and agreement.fits(answer.result) and not agreement.lamps(answer.problem, answer.result)
+    return climbed and answer.result.fits and not told_lamps.lamps(answer.problem, answer.result)
 
 
 def _all_mirrors(climb) -> bool:
@@ -208,7 +222,7 @@ def _all_mirrors(climb) -> bool:
 
 def _suffices(task, explained, in_lobes, lobed) -> bool:
     """Lobes of lamps leave nothing to explain: what mirrors and lobes of surfaces throw may look like them."""
-    if not agreement.fits(lobed.result):
+    if not lobed.result.fits:
         return False
     return _energy(task, explained).is_explained_by(_energy(in_lobes, lobed))
 
@@ -217,7 +231,7 @@ def _energy(task, explained):
     return audit_of(task, explained).energy(explained.problem, explained.result)
 
 
-def _at_once(task, first, leave, may_move, edges) -> Answer | None:
+def _at_once(task, first, scope, may_move, edges) -> Answer | None:
     """Where told lamps or a told transfer function that are wrong, one object's material or a lamp's place explain more
     than anything else might, no cause is looked for. A thing that the model has not takes light, too, and is asked for
     before a lamp is moved."""
@@ -226,20 +240,20 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
     rough = Explained(first.problem, first.result, "", given=first)
     given = functools.cache(lambda: rough.without_causes(**task.options))
     seen = functools.cache(lambda: answered(given(), *looked(task, given())))
-    hopeless = first.typical >= explain.HOPELESS
+    hopeless = first.typical >= gammas.HOPELESS
     if hopeless and (why := _flipped(task, rough)):
         return _named(task, given(), why)
-    promised = explain.promises(first, leave)
+    promised = search.promises(first, scope)
     most = max(promised.values())
-    may_face_away = not hopeless and first.typical >= FACES_AWAY and promised.get(explain.LAMPS) == most
+    may_face_away = not hopeless and first.typical >= FACES_AWAY and promised.get(told_lamps.NAME) == most
     if may_face_away and (why := _flipped(task, rough)):
         return _named(task, given(), why)
-    if why := _references_told_wrong(task, first, leave, most):
+    if why := _references_told_wrong(task, first, scope, most):
         return _named(task, given(), why)
-    if most < enough(first.problem) or promised[explain.OBJECT] == most:
+    if most < enough(first.problem) or promised[one_object.NAME] == most:
         return None
     may_have_lobe = lambda: seen().audit.stands_out(given(), seen().judged)
-    if (why := _transfer_told_wrong(task, first, leave, promised, given)) and not may_have_lobe():
+    if (why := _transfer_told_wrong(task, first, scope, promised, given)) and not may_have_lobe():
         return answered(given(), why=why)
     if _one_object_promises(task, first, rough, most) and (why := _another_material(task, seen())):
         return replace(seen(), why=why)
@@ -248,7 +262,7 @@ def _at_once(task, first, leave, may_move, edges) -> Answer | None:
             return replace(seen(), why=why)
         if refined := _by_light(task, rough, above=most):
             return answered(given(), refined=refined, why=refined.why)
-    why = _lamps_told_wrong(task, first, leave, promised, given)
+    why = _lamps_told_wrong(task, first, scope, promised, given)
     return _named(task, given(), why) if why and not may_have_lobe() else None
 
 
@@ -256,41 +270,44 @@ def _one_object_promises(task, first, rough, most) -> bool:
     """One object's own reflectance brings more than any cause, or might: few of its pixels, or none, are trusted."""
     from lib.analysis.answer import strangers
 
-    if unlike.promise(first.problem, first.result, slightly=True) > most:
+    if one_object.promise(first.problem, first.result, slightly=True) > most:
         return True
     return strangers.unlike_in_audit(rough, audit_of(task, rough)) is not None
 
 
-def _transfer_told_wrong(task, first, leave, promised, given) -> list:
+def _transfer_told_wrong(task, first, scope, promised, given) -> list:
     """[Why] of a transfer function that is told, where another leaves nothing to explain."""
-    other = explain.other_transfer(first, promised, leave)
-    why = other and agreement.transfer_told(first.problem, task.transfer, other[1])
+    other = told_transfer.other_transfer(first, promised, scope.response)
+    why = other and told_transfer.transfer_told(first.problem, task.transfer, other[1])
     return why if why and _suffices_alone(task, given(), _alone(task, other[0])) else []
 
 
-def _references_told_wrong(task, first, leave, most) -> list:
+def _references_told_wrong(task, first, scope, most) -> list:
     """[Why] of reflectances that are told, where others bring more than any cause promises and leave nothing else."""
-    told = agreement.references_told(first.problem)
+    told = told_reference.references_told(first.problem)
     if not told or most < enough(first.problem):
         return []
-    free = agreement.with_references_freed(first)
-    if leave.response and first.kind == "gamma":
-        free = max(free, responses.under_srgb(free), key=lambda c: c.evidence.nats)
+    free = told_reference.with_references_freed(first)
+    if scope.response and first.kind == "gamma":
+        free = max(free, response.under_srgb(free), key=lambda c: c.evidence.nats)
     gain, numbers = free.evidence.nats - first.evidence.nats, len(told) * first.result.state.rho.shape[1]
     if gain < max(most, enough(first.problem, numbers)):
         return []
     other = _alone(task, free)
-    return agreement.references_of(first.problem, other.result, gain) if agreement.fits(other.result) else []
+    return told_reference.references_of(first.problem, other.result, gain) if other.result.fits else []
 
 
-def _lamps_told_wrong(task, first, leave, promised, given) -> list:
+def _lamps_told_wrong(task, first, scope, promised, given) -> list:
     """[Why] of lamps that are told, where others leave nothing to explain."""
-    free = None if task.lobes else explain.lamps_alone(first, promised, leave)
+    free = None if task.lobes else told_lamps.lamps_alone(first, promised, scope.response)
     if free is None:
         return []
     other = _alone(task, free)
-    why = agreement.lamps_of(first.problem, other.result, free.evidence.nats - first.evidence.nats)
-    if any(w.cause == "lamp_colour" for w in why) and promised.get(matrix.NAME, 0) > MIXES * promised[explain.LAMPS]:
+    why = told_lamps.lamps_of(first.problem, other.result, free.evidence.nats - first.evidence.nats)
+    if (
+        any(w.cause == "lamp_colour" for w in why)
+        and promised.get(ColourMixing.name, 0) > MIXES * promised[told_lamps.NAME]
+    ):
         return []  # the camera may mix colours: told lamps are not wrong for that
     return why if why and _suffices_alone(task, given(), other) else []
 
@@ -302,12 +319,12 @@ def _alone(task, candidate) -> Explained:
 
 def _suffices_alone(task, given, other) -> bool:
     """What differs from the given facts leaves nothing to explain."""
-    return agreement.fits(other.result) and _energy(task, given).is_explained_by(_energy(task, other))
+    return other.result.fits and _energy(task, given).is_explained_by(_energy(task, other))
 
 
 def _named(task, explained, why) -> Answer:
     """With what is wrong with the lamps, and things that are missing besides."""
-    return answered(explained, why=agreement.joined(why, _missing(task, explained, audit_of(task, explained))))
+    return answered(explained, why=disagreements.joined(why, _missing(task, explained, audit_of(task, explained))))
 
 
 def _flipped(task, explained) -> list:
@@ -318,14 +335,14 @@ def _flipped(task, explained) -> list:
 
 def _told_wrong(task, explained) -> list:
     """[Why] of lamps that scene.yaml or the model has wrong, where that is all that is wrong."""
-    if agreement.fits(explained.result):
+    if explained.result.fits:
         return []
     if task.lobes:
-        lobes = LampLobes(task.view, *task.lambertian, tuple(task.lobes))
+        lobes = LampLobe(task.view, *task.lambertian, tuple(task.lobes))
         why, settled = lamp_lobe.told_wrong(explained.given, lobes, task.lobes)
         if settled:
             return why
-    why, settled = agreement.lamps_told(explained.problem, explained.result)
+    why, settled = told_lamps.lamps_told(explained.problem, explained.result)
     return why if settled else []
 
 
@@ -333,7 +350,7 @@ def _things_in_doubt(task, answer) -> list:
     """What stands before surfaces that the model has not, the largest first, where that is most of what is off."""
     found = answer.explained
     flagged = answer.audit.flagged(found.problem, answer.judged)
-    if not flagged and not in_doubt(found.result):
+    if not flagged and not found.result.in_doubt:
         return []
     things = things_of(task, found, answer.audit)
     behind = {g for thing in things for g in thing.behind}
@@ -356,7 +373,7 @@ def _another_material(task, answer) -> list:
     Before lobes, places and the ladder are tried, which would only bend to it.
     """
     found = answer.explained
-    if answer.audit.given or not in_doubt(found.result):
+    if answer.audit.given or not found.result.in_doubt:
         return []
     from lib.analysis.answer import strangers
 
@@ -420,21 +437,21 @@ def _by_light(task, explained, above=0.0, beside_mirrors=False):
 def _why(task, answer: Answer, edges, things=None):
     """[Why] photograph and facts do not agree, the likeliest first. things : of strangers.things, where known"""
     result = answer.result
-    why = agreement.disagreements(answer.problem, result, task.found, task.transfer, answer.explained.rivals)
-    if answer.climb and task.transfer in (None, "auto") and agreement.fits(result):
+    why = disagreements.disagreements(answer.problem, result, task.found, task.transfer, answer.explained.rivals)
+    if answer.climb and task.transfer in (None, "auto") and result.fits:
         why = [w for w in why if w.cause != "lamp_colour" or not _mixes_colours(answer, w.evidence_nats)]
-    if edges is not None and in_doubt(result):
-        why = agreement.joined(why, edges.why)
+    if edges is not None and result.in_doubt:
+        why = disagreements.joined(why, edges.why)
     if not why and answer.climb and task.transfer in (None, "auto"):
-        why = agreement.lamps_behind_curve(answer.problem, result, answer.explained.given)
+        why = told_lamps.lamps_behind_curve(answer.problem, result, answer.explained.given)
     if answer.audit is None or any(w.cause == "transfer" for w in why):
         return why  # under another function than the camera's, shadows look like things
-    return agreement.joined(why, _strange(task, answer, bool(why), things))
+    return disagreements.joined(why, _strange(task, answer, bool(why), things))
 
 
 def _mixes_colours(answer, nats) -> bool:
     """In the light of what has climbed the camera explains much of what lamps of another colour do: sigma has both."""
-    return matrix.may(answer.candidate) and matrix.promise(answer.candidate) > MIXES * nats
+    return colour_mixing.may(answer.candidate) and ColourMixing().promise(answer.candidate) > MIXES * nats
 
 
 def _rivals(answer) -> dict:
@@ -447,10 +464,10 @@ def _rivals(answer) -> dict:
     if not rivals or answer.climb is None:
         return rivals
     found = answer.candidate
-    promised = responses.promise(found)
+    promised = response.promise(found)
     if promised >= enough(found.problem):
         return rivals
-    others = responses.fitted(found) if promised > 0 else []
+    others = response.fitted(found) if promised > 0 else []
     tells = [c for c in others if c.off(found) > DISTINCT * c.evidence.discrepancy]
     return {c.kind: c.evidence.nats - found.evidence.nats for c in tells}
 
@@ -462,7 +479,7 @@ def _strange(task, answer, is_wrong, things):
     explained, climb = answer.explained, answer.climb
     climbed = {} if climb is None else {g: place.rung for g, place in climb.places.items() if place.rung != "diffuse"}
     # where the picture disagrees all the same, a texture is no explanation
-    doubtful = is_wrong or climb and in_doubt(climb.result)
+    doubtful = is_wrong or climb and climb.result.in_doubt
     objects = lambda: task.view().model.objects
     sure = {g: rung for g, rung in climbed.items() if not doubtful or rung != "textured"}
     if things is None and sure:
@@ -471,7 +488,7 @@ def _strange(task, answer, is_wrong, things):
         things = things_of(task, explained, answer.audit)
     if not is_wrong:
         things = [t for t in things if not (t.is_of_print and climbed.get(t.behind[0]) == "textured")]
-    if climb is not None and agreement.fits(climb.result):
+    if climb is not None and climb.result.fits:
         things = [t for t in things if not _is_thrown(t, answer)]
     return [
         *strangers.said(things, explained.problem.groups),

@@ -14,9 +14,12 @@ import numpy as np
 
 from lib.analysis.answer.answers import Answer, answered, looked, things_of
 from lib.analysis.answer.audit import ALMOST_ALL
-from lib.analysis.causes import agreement, explain, matrix, responses, vignetting
-from lib.analysis.causes.candidates import MIXING, Candidate, enough
+from lib.analysis.causes import response, search
+from lib.analysis.causes.candidates import Candidate, enough
+from lib.analysis.causes.colour_mixing import ColourMixing
 from lib.analysis.causes.explained import Taken, surely
+from lib.analysis.causes.table import causes_of
+from lib.analysis.causes.vignetting import Vignetting
 from lib.analysis.fit import misfits
 from lib.analysis.fit.evidence import evidence, steady
 from lib.analysis.fit.gauss_newton import fit
@@ -27,31 +30,30 @@ if TYPE_CHECKING:
 
 IN_DOUBT = 0.6  # times as far a group must stand out where the picture does not fit: something is wrong there anyway
 EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
-OF_CAMERA = {vignetting.NAME, matrix.NAME}  # causes that are fitted again beside what climbs
 NEAR = 3.0  # times what the median tile is off by beside causes: one that bent to a lobe left 1.8, right ones 13 to 16
 HALF = 0.5  # of what groups are off by, that a climb leaves at most where it is right about most
 SETTLES = 0.65  # of what neighbouring tiles have in common, that one group may leave: right ones .56, false ones .7
 JUST = 0.99  # of what a group is off by, that it may not keep
 
 
-def materials(task, explained, audit, judged, report, leave) -> Answer:
+def materials(task, explained, audit, judged, report, scope) -> Answer:
     """What is left is the groups' own, where that explains as much as the causes that were taken."""
-    of_groups = functools.partial(_of_groups, report=report, leave=leave)
+    of_groups = functools.partial(_of_groups, report=report, scope=scope)
     climbed = lambda explained, *looked, **how: _asked_again(
-        task, of_groups(task, explained, *looked, **how), report, leave
+        task, of_groups(task, explained, *looked, **how), report, scope
     )
     flagged = audit.flagged(explained.problem, judged)
-    times = misfits.STANDS_OUT * (1.0 if agreement.fits(explained.result) else IN_DOUBT)
+    times = misfits.STANDS_OUT * (1.0 if explained.result.fits else IN_DOUBT)
     if not flagged and not explained.taken and (keen := misfits.keener(judged, task.threshold, times)):
         keener = replace(audit, threshold=keen)
         answer = of_groups(replace(task, threshold=keen), explained, keener, judged)
         if _has_mirrors(answer) and not answer.climb.on("textured"):
-            return _asked_again(task, answer, report, leave)
+            return _asked_again(task, answer, report, scope)
         if answer.climb:
             keener.doubt(explained.problem, explained.result, judged)
         return answered(explained, audit, judged)
     if not flagged and (answer := _one_apart(task, explained, audit, judged, of_groups)):
-        return _asked_again(task, answer, report, leave)
+        return _asked_again(task, answer, report, scope)
     if not flagged or not explained.taken or explained.lobes:
         return climbed(explained, audit, judged)
     caused, how = None, {}
@@ -91,7 +93,7 @@ def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
         keen = min(JUST * off.excess / misfits.tolerance(off, 1.0), task.threshold)
         answer = of_groups(replace(task, threshold=keen), found, audit, judged, only=group)
         left = answer.result.correlated
-        if _has_mirrors(answer) and left <= SETTLES * found.result.correlated and agreement.fits(answer.result):
+        if _has_mirrors(answer) and left <= SETTLES * found.result.correlated and answer.result.fits:
             return answer
     return None
 
@@ -101,12 +103,12 @@ def _keeps_causes(answer) -> bool:
     does as well."""
     explained, problem, result = answer.explained, answer.problem, answer.result
     causes = {t.cause for t in explained.taken}
-    if not causes or not agreement.fits(result):
+    if not causes or not result.fits:
         return False
-    if causes == {vignetting.NAME} and result.cov_cause is not None:
+    if causes == {Vignetting.name} and result.cov_cause is not None:
         numbers = result.state.cause - problem.cause.means  # from where there is no shadow
         brings = float(numbers @ steady(result.cov_cause, numbers)) / 2
-    elif causes <= {"response", matrix.NAME}:
+    elif causes <= {response.Response.name, ColourMixing.name}:
         given = explained.given.problem
         told = replace(problem, transfer=given.transfer, fit_transfer=given.fit_transfer, cause=None, doubted=None)
         start = answer.candidate.start._replace(transfer=given.transfer, near=None)
@@ -116,24 +118,25 @@ def _keeps_causes(answer) -> bool:
     return brings >= surely(problem)
 
 
-def _asked_again(task, answer, report, leave) -> Answer:
-    if not leave.response or not _has_mirrors(answer):
+def _asked_again(task, answer, report, scope) -> Answer:
+    if not scope.response or not _has_mirrors(answer):
         return answer
-    return _in_mixed_colours(task, _under_another_response(task, answer, report, leave))
+    return _in_mixed_colours(task, _under_another_response(task, answer, report, scope))
 
 
 def _in_mixed_colours(task, answer) -> Answer:
     """The last fit with a camera that mixes colours, where it explains enough more: the diffuse fit saw the colours of
     what mirrors throw, too, and took neither for the camera's."""
     before = answer.candidate
-    if not matrix.may(before) or matrix.promise(before) < enough(answer.problem, MIXING):
+    mixing = ColourMixing()
+    if not mixing.may(before) or mixing.promise(before) < enough(answer.problem, mixing.free):
         return answer
-    mixed = matrix.fitted(before)
-    if not mixed.beats(before) or not matrix.is_of_the_camera(mixed, before):
+    mixed = mixing.fitted(before)
+    if not mixed.beats(before) or not mixing.is_physical(mixed, before):
         return answer
-    problem = replace(mixed.problem, doubted=responses.doubted(mixed.problem, mixed.result.state))
+    problem = replace(mixed.problem, doubted=response.doubted(mixed.problem, mixed.result.state))
     result, scale = fit(problem, start=mixed.start._replace(near=None), **task.options)
-    taken = Taken(matrix.NAME, mixed.evidence.nats - before.evidence.nats, {})
+    taken = Taken(mixing.name, mixed.evidence.nats - before.evidence.nats, {})
     climb = replace(answer.climb, problem=problem, result=result, scale=scale)
     answer.audit.doubt(problem, result, climb.misfits, climb.places)
     explained = replace(answer.explained, taken=[*answer.explained.taken, taken])
@@ -152,17 +155,17 @@ def _has_mirrors(answer) -> bool:
     return answer.climb is not None and bool(answer.climb.on(*SPECULAR))
 
 
-def _under_another_response(task, answer, report, leave) -> Answer:
+def _under_another_response(task, answer, report, scope) -> Answer:
     """The transfer function asked again in the light by way of mirrors and lobes, which hid it from the diffuse fit.
 
     All is begun anew under the one that is found, and kept if it explains enough more.
     """
     before = answer.candidate
-    promised = responses.promise(before)
+    promised = response.promise(before)
     if promised < enough(answer.problem):
         return answer
-    functions = (before, *responses.fitted(before, promised))
-    best = responses.simplest(functions)
+    functions = (before, *response.fitted(before, promised))
+    best = response.simplest(functions)
     if best is before:
         return answer
     explained, function = answer.explained, best.result.state.transfer
@@ -180,11 +183,11 @@ def _under_another_response(task, answer, report, leave) -> Answer:
         rivals=rivals,
         taken=[*(t for t in explained.taken if t.cause != "response"), taken],
     )
-    other = _of_groups(task, explained, *looked(task, explained), report, leave)
+    other = _of_groups(task, explained, *looked(task, explained), report, scope)
     return other if other.climb and other.nats >= answer.nats + enough(answer.problem) else answer
 
 
-def _of_groups(task, explained, audit, judged, report, leave, only=None, **how) -> Answer:
+def _of_groups(task, explained, audit, judged, report, scope, only=None, **how) -> Answer:
     """The ladder where a diffuse surface does not explain the groups. only, how : of ladder.climb"""
     if only is None and not audit.flagged(explained.problem, judged):
         audit.doubt(explained.problem, explained.result, judged)
@@ -212,9 +215,9 @@ def _of_groups(task, explained, audit, judged, report, leave, only=None, **how) 
         options=task.options,
     )
     climb, answer = done.climb, answered(explained, audit, judged)
-    if not agreement.fits(climb.result) and not audit.given:
+    if not climb.result.fits and not audit.given:
         answer.dropped = climb
-        if agreement.fits(explained.result):
+        if explained.result.fits:
             audit.doubt(explained.problem, explained.result, judged)
             if climb.on(*SPECULAR) and misfits.energy(climb.misfits) < HALF * misfits.energy(judged):
                 # a mirror explains most, and then something else is seen to be wrong: the diffuse fit fits no better
@@ -226,14 +229,14 @@ def _of_groups(task, explained, audit, judged, report, leave, only=None, **how) 
         # the same light, but with what its causes leave unsure, which the ladder takes as they are
         audit.doubt(explained.problem, explained.result, judged, climb.places)
         return answer
-    done = _with_causes(task, explained, done, leave)
+    done = _with_causes(task, explained, done, scope)
     climb = done.climb
     audit.doubt(climb.problem, climb.result, climb.misfits, climb.places)
     answer.problem, answer.result, answer.scale, answer.ascent = climb.problem, climb.result, climb.scale, done
     return answer
 
 
-def _with_causes(task, explained, done, leave) -> Ascent:
+def _with_causes(task, explained, done, scope) -> Ascent:
     """The climb with the causes of the camera fitted beside its groups, which climbed with those standing fast, and
     with what camera, lamps and edges leave open in every sigma.
 
@@ -245,17 +248,19 @@ def _with_causes(task, explained, done, leave) -> Ascent:
     found = Candidate(problem, climb.result, evidence(problem, at))
     tiles = climb.tiles.take(np.flatnonzero(climb.tiles.fit))
     before, cause = explained.problem.cause, None
-    alone = set(before.names) if before is not None and set(before.names) <= OF_CAMERA else set()
-    if vignetting.NAME in alone:
-        cause = vignetting.left_open(problem, at, explained.lens, tiles.pixel, explained.falloff)
-    if matrix.NAME in alone:
-        cause = matrix.left_open(problem, at).beside(cause)
-    doubted = explain.doubted(found) if leave.response else None
+    of_camera = [c for c in causes_of(replace(scope, pixel=tiles.pixel)).values() if c.is_of_camera]
+    alone = before is not None and set(before.names) <= {c.name for c in of_camera}
+    open_ = [c for c in of_camera if c.name in before.names] if alone else []
+    for c in open_:
+        cause = c.left_open(problem, at, explained.values[c.name]).beside(cause)
+    doubted = search.doubted(found) if scope.response else None
     problem = replace(problem, cause=cause, doubted=doubted, **_known_of(explained.problem, task.found.tiles, tiles))
     result, scale = fit(problem, start=found.start._replace(near=None), **task.options)
-    if vignetting.NAME in alone:
-        k = explained.falloff + vignetting.change(result.state.cause[cause.of(vignetting.NAME)])
-        site = replace(site, view=vignetting.without(task.view(), explained.lens, k, result.state.transfer))
+    view = task.view()
+    for c in open_:
+        values = c.moved(explained.values[c.name], result.state.cause[cause.of(c.name)])
+        view = c.undone(view, values, result.state.transfer)
+    site = replace(site, view=view) if open_ else site
     return done._replace(site=site, climb=replace(climb, problem=problem, result=result, scale=scale))
 
 
@@ -275,7 +280,7 @@ def _is_wrong_everywhere(explained, audit, judged):
     n_judged = sum(m.judged for m in judged.values())
     flagged = audit.flagged(explained.problem, judged)
     everywhere = len(flagged) >= max(SEVERAL, EVERYWHERE * n_judged)
-    if not everywhere or agreement.fits(explained.result) or audit.given:
+    if not everywhere or explained.result.fits or audit.given:
         return False
     energy = [judged[g].energy for g in flagged if g in judged]
     return max(energy) < ALMOST_ALL * sum(energy)

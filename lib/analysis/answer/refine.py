@@ -13,10 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lib.analysis.answer.audit import Audit, looking_at
-from lib.analysis.causes import lamp_place, vignetting
-from lib.analysis.causes.agreement import fits
+from lib.analysis.causes import lamp_place
 from lib.analysis.causes.candidates import Candidate, enough
+from lib.analysis.causes.cause import settled
 from lib.analysis.causes.explained import Explained
+from lib.analysis.causes.lamp_place import LampPlace
+from lib.analysis.causes.table import causes_of
 from lib.analysis.fit.gauss_newton import fit
 from lib.analysis.seen.direct_light import DirectLight
 from lib.analysis.seen.gather import Gathered
@@ -135,8 +137,8 @@ def _lamps(view, factors, found, explained) -> lamp_place.Lamps | None:
 def _most_promising(base: Candidate, lamps, sigma_m, least, above):
     """The lamp whose place promises most by one step, None where that is too little. least, above : of _elsewhere"""
     prior = lambda lamp: sigma_m.get(lamp, LAMP_PLACE_M)
-    promise = lambda base: {lamp: lamp_place.promise(base, lamps, lamp, prior(lamp)) for lamp in lamps.things}
-    promises = base.once("lamp_place", promise)
+    promise = lambda base: {lamp: LampPlace(lamps, lamp, prior(lamp)).promise(base) for lamp in lamps.things}
+    promises = base.once(LampPlace.name, promise)
     lamp = max(promises, key=promises.get, default=None)
     too_little = lamp is None or promises[lamp] < max(enough(base.problem), above, least / MORE)
     return None if too_little else lamp
@@ -153,17 +155,17 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
     if lamp is None:
         return None
     prior = sigma_m.get(lamp, LAMP_PLACE_M)
-    best = base.once(("lamp_place", lamp), lambda base: _moved(explained, base, lamps, lamp, prior))
+    best = base.once((LampPlace.name, lamp), lambda base: _moved(explained, base, lamps, lamp, prior))
     if best is None:
         return None
     nats = best.evidence.nats - base.evidence.nats
     if nats < least:
         return None
     result = best.once("fit", lambda best: fit(best.problem, start=best.start)[0])
-    if result.cov_cause is None or not (fits(result) or beside_mirrors):
+    if result.cov_cause is None or not (result.fits or beside_mirrors):
         return None
-    axes, offset = lamps.things[lamp][1], best.taken[lamp_place.NAME][lamp]
-    own = best.problem.cause.of(lamp_place.NAME)
+    axes, offset = lamps.things[lamp][1], best.taken[LampPlace.name]
+    own = best.problem.cause.of(LampPlace.name)
     covariance = result.cov_cause[np.ix_(own, own)]
     if not is_elsewhere(axes @ offset, covariance):
         return None
@@ -175,7 +177,7 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
     apart = [~looking_at(audited.tiles.rows, group, patch_group) for audited in (before, after)]
     energy = after.energy(best.problem, result, light, apart[1])
     is_all = before.energy(base.problem, base.result, among=apart[0]).is_explained_by(energy)
-    if not (is_all or beside_mirrors and (fits(result) or energy.is_of_one)):
+    if not (is_all or beside_mirrors and (result.fits or energy.is_of_one)):
         return None
     return lamp, offset, axes.T @ covariance @ axes, nats
 
@@ -188,10 +190,8 @@ def is_elsewhere(step, covariance) -> bool:
 
 def _moved(explained: Explained, base: Candidate, lamps, lamp, prior_m) -> Candidate | None:
     """The fit with the lamp elsewhere, and the lens's shadow as it is then; None where that brings nothing."""
-    best = lamp_place.fitted(base, lamps, lamp, prior_m)
-    if best is None or vignetting.NAME not in best.taken:
-        return best
-    return vignetting.fitted(best, explained.lens, lamps.light.found.tiles.pixel)
+    best = LampPlace(lamps, lamp, prior_m).fitted(base)
+    return best and settled(best, base, causes_of(explained.scope).values())
 
 
 def flipped(view: View, factors: FormFactors, found: Gathered, explained: Explained) -> list[Why]:

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.analysis.answer.audit import Audit
-from lib.analysis.causes import unlike
-from lib.analysis.causes.agreement import DOUBT, fits
+from lib.analysis.causes import one_object
 from lib.analysis.causes.candidates import enough
 from lib.analysis.causes.explained import Explained
 from lib.analysis.fit import misfits
@@ -23,7 +22,7 @@ from lib.analysis.fit.equations import Unknowns
 from lib.analysis.fit.evidence import evidence
 from lib.analysis.fit.gauss_newton import fit
 from lib.analysis.fit.misfits import shown
-from lib.analysis.fit.problem import Problem, Result
+from lib.analysis.fit.problem import DOUBT, Problem, Result
 from lib.given.materials import Why
 from lib.given.transfer import Metric
 from lib.given.view import View
@@ -84,7 +83,7 @@ class Thing(NamedTuple):
 
 def things(view: View, factors: FormFactors, explained: Explained, audit: Audit, climbed=()) -> list[Thing]:
     """The things that the model has not, the largest first. climbed : {group: rung}, of those not diffuse"""
-    picture, wrong = _Picture(view, explained, audit, climbed), not fits(explained.result)
+    picture, wrong = _Picture(view, explained, audit, climbed), not explained.result.fits
     found = _found(picture, factors, wrong)
     if wrong and not found:
         found = _found(picture.tinted(), None, wrong)
@@ -409,19 +408,21 @@ def groups_wrong(problem: Problem, result: Result, names, climbed=()) -> list[Wh
     """A line for each object that has not its group's reflectance. names() : of the objects"""
     return [
         _another_material(names()[one.thing], one.ratio, problem.groups[one.group], one.nats)
-        for one in unlike.objects(problem, result, climbed)
+        for one in one_object.objects(problem, result, climbed)
         if one.nats >= enough(problem)
     ]
 
 
-def unlike_in_audit(found: Explained, audit: Audit) -> unlike.Unlike | None:
+def unlike_in_audit(found: Explained, audit: Audit) -> one_object.Unlike | None:
     """The object most unlike the rest of its group by its own pixels: few of them, or none, may be trusted, but what it
     throws on others bends the whole fit."""
     problem = found.problem
     among = [g for g in range(len(problem.groups)) if g not in problem.known_groups and g not in audit.given]
     parts = misfits.parts(audit.subcell, problem, found.result, audit.tiles, among)
     seen = [
-        unlike.Unlike(g, thing, ratio, 0.0) for g, of_group in parts.items() for thing, ratio in of_group.unlike.items()
+        one_object.Unlike(g, thing, ratio, 0.0)
+        for g, of_group in parts.items()
+        for thing, ratio in of_group.unlike.items()
     ]
     return max(seen, key=lambda one: np.abs(one.ratio - 1).max(), default=None)
 
@@ -433,7 +434,7 @@ def alone_unlike(found: Explained, audit: Audit, patch_object, names, **options)
     patch_object : () -> (N,) numbers;  names() : of the objects;  options : of gauss_newton.gauss_newton
     """
     problem, result = found.problem, found.result
-    one = max(unlike.objects(problem, result, slightly=True), key=lambda one: one.nats, default=None)
+    one = max(one_object.objects(problem, result, slightly=True), key=lambda one: one.nats, default=None)
     if one is not None and one.nats >= BY_FAR * enough(problem):
         return _alone(found, audit, one, patch_object, names, **options)
     one = unlike_in_audit(found, audit)
@@ -446,7 +447,7 @@ def alone_unlike(found: Explained, audit: Audit, patch_object, names, **options)
 def _alone(found, audit, one, patch_object, names, is_fitted=True, **options) -> list[Why]:
     """is_fitted : the fit finds the reflectance; else it is as the audit's pixels show it"""
     problem, state = found.problem, found.result.state
-    own, number = unlike.with_its_own(problem, one, patch_object()), len(problem.groups)
+    own, number = one_object.with_its_own(problem, one, patch_object()), len(problem.groups)
     audit = audit.with_group(one.group, one.thing, number)
     start = Unknowns(np.vstack([state.rho, one.ratio * state.rho[one.group]]), state.E, state.transfer)
     if is_fitted:
@@ -454,7 +455,7 @@ def _alone(found, audit, one, patch_object, names, is_fitted=True, **options) ->
     else:
         own, other = _as_shown(own, start, audit, **options)
     left = found.result.correlated * LEFT
-    if not fits(other) or other.correlated > max(DOUBT, left) or audit.flagged(own, audit.misfits(own, other)):
+    if not other.fits or other.correlated > max(DOUBT, left) or audit.flagged(own, audit.misfits(own, other)):
         return []
     ratio = other.state.rho[number] / np.maximum(other.state.rho[one.group], 1e-9)
     gain = evidence(own, other.at).nats - evidence(problem, found.result.at).nats

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from lib.analysis.causes import agreement, lamp_lobe
-from lib.analysis.causes.lamp_lobe import LampLobes
+from lib.analysis.causes import lamp_lobe
+from lib.analysis.causes.lamp_lobe import LampLobe
 from lib.analysis.fit import facts
 from lib.analysis.fit.problem import Problem
 from lib.analysis.seen import gather
@@ -38,6 +38,7 @@ class Task:
     options : of gauss_newton.gauss_newton
     around : makes the same with what lies outside an open model among its lamps; None where that is there, or the model
         is not known
+    asked : [Question] of the search, in the order in which they were asked
     """
 
     problem: Problem
@@ -62,6 +63,7 @@ class Task:
     options: dict
     curve: Transfer | None = None
     around: Callable[[], Task] | None = None
+    asked: list = field(default_factory=list)
 
     @classmethod
     def read(cls, opt) -> Task:
@@ -126,15 +128,15 @@ class Task:
         return replace(self, factors=factors, found=found, audit=audit)
 
     @property
-    def lamp_lobes(self) -> LampLobes | None:
+    def lamp_lobes(self) -> LampLobe | None:
         """Of the lamps whose lobe scene.yaml leaves open."""
         told = any(kind in (*MIRRORS, *LOBES) for kind in self.surfaces.values())  # their light looks like a lobe's
-        may = not told and (self.causes is None or lamp_lobe.NAME in self.causes)
+        may = not told and (self.causes is None or LampLobe.name in self.causes)
         open_ = self.factors.own_lamps if may else self.lobes_unknown
         wanted = [lamp for lamp in self.factors.own_lamps if lamp in open_ and lamp not in self.lobes]
         if not wanted or not self.can_look:
             return None
-        return LampLobes(self.view, self.factors, self.found, tuple(wanted), bool(self.lobes_unknown))
+        return LampLobe(self.view, self.factors, self.found, tuple(wanted), bool(self.lobes_unknown))
 
     @property
     def allowed(self):
@@ -145,7 +147,7 @@ class Task:
     def can_look(self):
         """Whether pixels and edges of the photograph can be looked at, and are worth it."""
         seen = self.view is not None and len(self.problem.tile_group) > 0
-        return seen and not agreement.out_of_range(self.found)
+        return seen and not gather.out_of_range(self.found)
 
 
 def _check_same(factors, formfactors, gathered):

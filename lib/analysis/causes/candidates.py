@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lib.analysis.fit.equations import Unknowns
-from lib.analysis.fit.evidence import Evidence, evidence
+from lib.analysis.fit.evidence import Difference, Evidence, difference, evidence
 from lib.analysis.fit.gauss_newton import gauss_newton
 from lib.analysis.fit.problem import Problem, Result
 
@@ -69,6 +69,19 @@ class Candidate:
         if question not in self.asked:
             self.asked[question] = ask(self)
         return self.asked[question]
+
+    def one_step(self, question, after: Evidence) -> float:
+        """Nats that one step towards something brings, kept with their standard error. after : one step from here"""
+        self.asked[question, "step"] = difference(self.problem, after, self.evidence)
+        return self.asked[question, "step"].nats
+
+    def step(self, question) -> Difference | None:
+        """What `one_step` kept, None where it was not asked."""
+        return self.asked.get((question, "step"))
+
+    def over(self, other: Candidate) -> Difference:
+        """By how much it is better than another one of the same tiles."""
+        return difference(self.problem, self.evidence, other.evidence)
 
     def off(self, other: Candidate) -> float:
         """By how much the two predict held-out tiles differently, display, rms."""

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from lib.analysis.causes import lamp_lobe, vignetting
-from lib.analysis.causes.agreement import fits
 from lib.analysis.causes.candidates import NATS, Candidate
+from lib.analysis.causes.scope import Scope
+from lib.analysis.causes.table import causes_of
 from lib.analysis.fit.equations import Unknowns
 from lib.analysis.fit.gauss_newton import fit
 from lib.analysis.fit.problem import Problem, Result
 from lib.analysis.seen.gather import Gathered
-from lib.given.falloff import Lens
 from lib.given.view import View
 
 SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
@@ -25,7 +23,7 @@ class Explained:
 
     scale : what fixed the scale of the light;  rivals : {kind: nats} of other transfer functions
     taken : [Taken], in the order in which they were taken;  values : {cause: what it found}
-    given, best : the rough fits under the given facts and with the causes;  lens : None where nothing is known of it
+    given, best : the rough fits under the given facts and with the causes;  scope : None where nothing was looked for
     """
 
     problem: Problem
@@ -36,7 +34,7 @@ class Explained:
     values: dict = field(default_factory=dict)
     given: Candidate | None = None
     best: Candidate | None = None
-    lens: Lens | None = None
+    scope: Scope | None = None
 
     @property
     def is_sure(self):
@@ -46,40 +44,33 @@ class Explained:
     def without_causes(self, **options) -> Explained:
         """The fit under the given facts. options : of gauss_newton.gauss_newton"""
         result, scale = fit(self.given.problem, start=self.given.start, **options)
-        return Explained(self.given.problem, result, scale, given=self.given, best=self.given, lens=self.lens)
+        return Explained(self.given.problem, result, scale, given=self.given, best=self.given, scope=self.scope)
 
     def kept(self, **options) -> Explained:
         """Without the causes where they do not suffice: what is wrong may be none of them, and they only bend to it."""
-        suffices = not self.taken or fits(self.result) or self.is_sure
+        suffices = not self.taken or self.result.fits or self.is_sure
         return self if suffices else self.without_causes(**options)
 
     @property
     def lobes(self):
         """{lamp: (4,) unit aim and exponent} that were found."""
-        found = self.values.get(lamp_lobe.NAME, {})
-        terms = self.problem.cause
-        return lamp_lobe.stepped(found, terms, self.result.state.cause) if found and terms else found
+        return lamp_lobe.found_in(self.values.get(lamp_lobe.LampLobe.name, {}), self.problem, self.result)
 
-    def sigma_of_lobe(self, lamp):
-        """(of the aim, degrees; of the exponent), None where they are not known."""
-        if self.result.cov_cause is None:
-            return None
-        k = list(self.values[lamp_lobe.NAME]).index(lamp)
-        own = np.flatnonzero(self.problem.cause.of(lamp_lobe.NAME))[3 * k : 3 * k + 3]
-        variance = np.diag(self.result.cov_cause)[own]
-        return np.degrees(np.sqrt(variance[:2].sum() / 2)), self.lobes[lamp][3] * np.sqrt(variance[2])
+    def says(self, name, problem, result):
+        """[(subject, values, sigma)] of a cause that was taken. problem, result : of the last fit"""
+        kind = causes_of(self.scope).get(name)
+        return [(None, {}, None)] if kind is None else kind.says(self.values.get(name), problem, result)
 
     @property
     def falloff(self):
         """k of the lens, None where it is as bright in the corners."""
-        found = self.values.get("vignetting")
-        return None if found is None else found["k"]
+        return self.values.get(vignetting.Vignetting.name)
 
     def evened(self, gathered: Gathered) -> Gathered:
         """Tiles as they would be without the lens's shadow."""
         if self.falloff is None:
             return gathered
-        return vignetting.corrected(gathered, self.lens, self.falloff, self.result.state.transfer)
+        return vignetting.corrected(gathered, self.scope.lens, self.falloff, self.result.state.transfer)
 
     def flattened(self, view: View, found: Gathered, **options):
         """(self, view, found) where all causes stand fast; of the photograph without the lens's shadow."""
@@ -89,7 +80,7 @@ class Explained:
         problem = replace(self.problem, pixels=found.pixels, gain=None, cause=None)
         result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
         if self.falloff is not None:
-            view = vignetting.without(view, self.lens, self.falloff, state.transfer)
+            view = vignetting.without(view, self.scope.lens, self.falloff, state.transfer)
         return replace(self, problem=problem, result=result, scale=scale), view, found
 
 

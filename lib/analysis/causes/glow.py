@@ -10,9 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from lib.analysis.causes import gammas
 from lib.analysis.causes.candidates import Candidate
+from lib.analysis.causes.cause import Cause, Tried
+from lib.analysis.causes.scope import Scope
 from lib.analysis.fit.equations import Unknowns
 from lib.analysis.fit.evidence import promised
+from lib.analysis.fit.facts import USUAL_GAMMA
 from lib.analysis.fit.problem import Problem
 from lib.analysis.fit.start import initialise
 from lib.analysis.seen.gather import Gathered
@@ -22,11 +26,49 @@ from lib.light import surface as surfaces
 from lib.light.balance import reflected
 from lib.light.factors_file import OUTSIDE, FormFactors
 
-NAME = "glow"
 UNEVEN = 0.4  # standard deviation of the change from the middle of the model to an end of it, a share of the glow
 CURVED = 0.3  # the same of what goes with the squares and products of the axes
 BEYOND = 0.2  # the same of what goes with their cubes, which is not fitted
 FEWER = 4  # than were shot: so many rays tell how unsure it is
+
+
+class Glow(Cause):
+    """Light that comes in where the model is open, from a glow outside."""
+
+    name = "glow"
+    stands_back = True  # the others only bend to a glow
+    is_linearised = False
+    before_gammas = True
+
+    @classmethod
+    def of(cls, scope: Scope):
+        return cls() if cls.name in scope.allowed else None
+
+    def may(self, found: Candidate) -> bool:
+        return is_dark(found.problem)
+
+    def one_step(self, found: Candidate) -> float:
+        return promise(found)
+
+    def fitted(self, found: Candidate, values=None) -> Candidate:
+        return changing(even(found))
+
+    def tried(self, found: Candidate, promised) -> Tried:
+        first = self.fitted(found)
+        if not gammas.is_stuck(first, found):
+            return Tried(first)
+        other = fitted_from(found, (*gammas.STARTS, USUAL_GAMMA))
+        return Tried(max(first, other, key=lambda c: c.evidence.nats))
+
+    def says(self, values, problem, result):
+        return [(None, _named(problem, result.state.E), result.sigma_E is not None and _named(problem, result.sigma_E))]
+
+
+def _named(problem, E):
+    """Radiosity of the glow from outside and its changes, see outside.Outside, of emittances (L, C) or their sigma."""
+    three = lambda values: [float(v) for v in np.broadcast_to(values, 3)]
+    even, *changes = (three(E[problem.lamps.index(name)]) for name in OUTSIDE)
+    return {"radiosity": even, "gradient": changes[:3], "curvature": changes[3:]}
 
 
 def is_dark(problem: Problem) -> bool:
@@ -91,12 +133,7 @@ def _promise(found: Candidate, D, D_tile) -> float:
     dB = at.shown_share * (D_tile[:, None] + problem.G @ b)
     each = np.zeros((*dB.shape, C))
     each[:, np.arange(C), np.arange(C)] = dB
-    return promised(problem, at, at.displayed(each)).nats - found.evidence.nats
-
-
-def fitted(found: Candidate) -> Candidate:
-    """The fit with a glow."""
-    return changing(even(found))
+    return found.one_step(Glow.name, promised(problem, at, at.displayed(each)))
 
 
 def fitted_from(found: Candidate, gammas) -> Candidate:
@@ -119,7 +156,7 @@ def _free(problem: Problem) -> Problem:
 
 def even(found: Candidate) -> Candidate:
     """The fit with a glow that is the same everywhere."""
-    return Candidate.of(_free(found.problem), found.taken | {NAME: {}}, start=found.start)
+    return Candidate.of(_free(found.problem), found.taken | {Glow.name: {}}, start=found.start)
 
 
 def changing(found: Candidate) -> Candidate:

@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 
 from lib.analysis.causes.candidates import Candidate, enough
-from lib.analysis.fit.equations import Equations, Layout, Unknowns
+from lib.analysis.causes.cause import Cause, Rounds, believed
+from lib.analysis.fit.equations import Equations
 from lib.analysis.fit.evidence import evidence, promised
 from lib.analysis.fit.gauss_newton import gauss_newton
 from lib.analysis.fit.problem import CauseTerms, Problem, Result
-from lib.analysis.fit.transport import TileLight
 from lib.analysis.seen.gather import Gathered
 from lib.given.materials import Why
 from lib.given.view import View
@@ -26,7 +26,6 @@ from lib.light.balance import reflected, times
 from lib.light.factors_file import FormFactors
 from lib.light.throws import Throws
 
-NAME = "lamp_lobe"
 LEAST, MOST = 0.05, 100.0  # exponents: what is flatter or sharper is no lobe that a photograph tells of
 FLAT = 1.5  # times the least exponent, up to which a lobe is none
 SPREAD = np.array([0.5, 0.5, 1.0])  # of a step: two turns of the aim, rad, and the exponent's logarithm
@@ -35,15 +34,13 @@ FADES = 0.3  # of the mean light, the least that uneven light is taken to have l
 ALL_WRONG = 0.3  # of the typical residual, below which told lobes are all that is wrong
 FIRST = (1.0, 3.0)  # exponents to begin with
 SETTLES = 0.2  # of the typical residual: what leaves no more needs no other start
-ROUNDS, SETTLED, INNER = 20, 5e-3, 2
-SHARES = 1.0, 0.3, 0.1, 0.03  # of a step, until one lowers the error: far away lobes are no lines
-# rounds after which the error must have fallen to such a share, and below such a share of what it was without lobes
-PATIENCE, GAINS, HOPE = 3, 0.98, 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class LampLobes:
-    """The ways of the lamps' light to the patches and the tiles of a scene whose lamps are lambertian in `factors`.
+class LampLobe(Cause):
+    """Lamps that throw their light in lobes. Its values: {lamp: (4,) unit aim and exponent}.
+
+    It holds the ways of the light to the patches and the tiles of a scene whose lamps are lambertian in `factors`.
 
     wanted : names of the lamps that may have a lobe;  asked : scene.yaml asks for one
     """
@@ -53,6 +50,14 @@ class LampLobes:
     found: Gathered
     wanted: tuple
     asked: bool = False
+
+    name = "lamp_lobe"
+    by_one_step = False  # rays have to tell where the light goes
+    # far away lobes are no lines
+    rounds = Rounds(most=19, inner=2, settled=5e-3, shares=(1.0, 0.3, 0.1, 0.03), patience=3, gains=0.98, hope=0.9)
+
+    def none(self):
+        return {}
 
     @cached_property
     def ways(self) -> dict[str, tuple[Throws, Throws]]:
@@ -67,7 +72,7 @@ class LampLobes:
             for lamp in self.wanted
         }
 
-    def problem(self, problem: Problem, lobes) -> Problem:
+    def standing(self, problem: Problem, lobes) -> Problem:
         """The same where lamps have these lobes, {name: (4,)}, and no others."""
         D, D_tile = self.factors.lamp_factor.copy(), self.found.tiles.direct.copy()
         for lamp, lobe in lobes.items():
@@ -93,7 +98,7 @@ class LampLobes:
         """Light that is 1 + a . direction in place of lambertian, of each lamp: the first step towards any lobe."""
         columns = [self.columns(at, lamp, [way.moments() for way in self.ways[lamp]]) for lamp in self.wanted]
         n = len(columns)
-        return CauseTerms((NAME,) * 3 * n, np.concatenate(columns, axis=-1), np.full(3 * n, UNEVEN))
+        return CauseTerms((self.name,) * 3 * n, np.concatenate(columns, axis=-1), np.full(3 * n, UNEVEN))
 
     def like(self, lamp, a, exponent):
         """(4,) the lobe that changes as 1 + a . direction does, about the mean direction of the light."""
@@ -104,34 +109,46 @@ class LampLobes:
         aim = middle + slope / exponent
         return np.append(aim / max(np.linalg.norm(aim), 1e-12), exponent)
 
-    def cause(self, at: Equations, lobes) -> CauseTerms:
-        """Turns and exponents of all lobes, linearised at equations of this very light."""
+    def terms(self, problem, at: Equations, lobes) -> CauseTerms:
+        """Turns and exponents of all lobes."""
         columns = []
         for lamp, lobe in lobes.items():
             slopes = [way.slopes(lobe, across(lobe)) for way in self.ways[lamp]]
             columns.append(self.columns(at, lamp, slopes))
-        return CauseTerms((NAME,) * 3 * len(lobes), np.concatenate(columns, axis=-1), np.tile(SPREAD, len(lobes)))
+        return CauseTerms((self.name,) * 3 * len(lobes), np.concatenate(columns, axis=-1), np.tile(SPREAD, len(lobes)))
+
+    def moved(self, lobes, step):
+        return {lamp: moved(lobe, one) for (lamp, lobe), one in zip(lobes.items(), step.reshape(-1, 3), strict=True)}
+
+    def fitted(self, found: Candidate, more=None) -> Candidate:
+        """The fit with lobes where they suit best: those of `found`, and more {lamp: (4,)}."""
+        return super().fitted(found, found.taken.get(self.name, {}) | (more or {}))
+
+    def says(self, lobes, problem, result):
+        lobes = found_in(lobes, problem, result)
+        named = lambda lobe: {"aim": list(map(float, lobe[:3])), "exponent": float(lobe[3])}
+        return [(lamp, named(lobe), sigma_of(lamp, lobes, problem, result)) for lamp, lobe in lobes.items()]
 
 
-def told_wrong(found: Candidate, lobes: LampLobes, told) -> tuple[list[Why], bool]:
+def told_wrong(found: Candidate, lobes: LampLobe, told) -> tuple[list[Why], bool]:
     """A line for each lamp whose lobe is told, where others fit far better; and whether they are all that is wrong.
 
     found : the fit under the given facts;  told : {lamp: (4,)}
     """
-    terms = lobes.cause(found.result.at, told)
+    terms = lobes.terms(found.problem, found.result.at, told)
     prior = np.diag(1 / terms.spread**2)
     promise = promised(found.problem, found.result.at, terms.columns, prior=prior).nats - found.evidence.nats
     if promise < enough(found.problem):
         return [], False
-    other = fitted(found, lobes, told)
+    other = lobes.fitted(found, told)
     gain = other.evidence.nats - found.evidence.nats
     if gain < enough(found.problem):
         return [], False
     why = []
-    for lamp, lobe in other.taken[NAME].items():
+    for lamp, lobe in other.taken[LampLobe.name].items():
         aim = ", ".join(f"{v:.2f}" for v in lobe[:3])
         text = f"lamp {lamp!r}: a lobe cos^{lobe[3]:.2f} about ({aim}) fits the photograph better by {gain:.0f} nats"
-        why.append(Why(NAME, lamp, text, float(gain)))
+        why.append(Why(LampLobe.name, lamp, text, float(gain)))
     return why, other.typical < ALL_WRONG * found.typical
 
 
@@ -172,77 +189,45 @@ def moved(lobe, step):
     return np.append(aim / np.linalg.norm(aim), exponent)
 
 
-def stepped(lobes, terms: CauseTerms, cause):
-    """Lobes {lamp: (4,)} after the last steps (k,) of a fit with these terms."""
-    steps = cause[terms.of(NAME)].reshape(-1, 3)
-    return {lamp: moved(lobe, step) for (lamp, lobe), step in zip(lobes.items(), steps, strict=True)}
+def found_in(lobes, problem: Problem, result: Result):
+    """{lamp: (4,)} after the last step of the fit, where the result has one."""
+    step, terms = result.state.cause, problem.cause
+    if step is None or terms is None or not (own := terms.of(LampLobe.name)).any():
+        return lobes
+    steps = step[own].reshape(-1, 3)
+    return {lamp: moved(lobe, one) for (lamp, lobe), one in zip(lobes.items(), steps, strict=True)}
 
 
-def uneven(found: Candidate, lobes: LampLobes) -> Candidate:
+def sigma_of(lamp, lobes, problem: Problem, result: Result) -> dict | None:
+    """Of the aim, degrees, and of the exponent; None where they are not known. lobes : {lamp: (4,)} that were found"""
+    if result.cov_cause is None:
+        return None
+    k = list(lobes).index(lamp)
+    own = np.flatnonzero(problem.cause.of(LampLobe.name))[3 * k : 3 * k + 3]
+    variance = np.diag(result.cov_cause)[own]
+    aim_deg = believed(float(np.degrees(np.sqrt(variance[:2].sum() / 2))), 180.0)
+    return None if aim_deg is None else {"aim_deg": aim_deg, "exponent": float(lobes[lamp][3] * np.sqrt(variance[2]))}
+
+
+def uneven(found: Candidate, lobes: LampLobe) -> Candidate:
     """The fit with light that is 1 + a . direction, from which any lobe shows. `taken` holds a, {lamp: (3,)}."""
     terms = lobes.uneven(found.result.at).beside(found.problem.cause)
     problem = replace(found.problem, cause=terms)
     result = gauss_newton(problem, start=found.start, finish=False, tolerance=1e-2, max_iterations=12)
-    a = result.state.cause[terms.of(NAME)].reshape(-1, 3)
+    a = result.state.cause[terms.of(LampLobe.name)].reshape(-1, 3)
     return Candidate(problem, result, evidence(problem, result.at), dict(zip(lobes.wanted, a, strict=True)))
 
 
-def begun(found: Candidate, first: Candidate, lobes: LampLobes) -> Candidate:
+def begun(found: Candidate, first: Candidate, lobes: LampLobe) -> Candidate:
     """The fit with a lobe of each lamp, from where uneven light points. first : of `uneven`"""
     tried = []
     for n in FIRST:
-        tried.append(fitted(found, lobes, {lamp: lobes.like(lamp, a, n) for lamp, a in first.taken.items()}))
+        tried.append(lobes.fitted(found, {lamp: lobes.like(lamp, a, n) for lamp, a in first.taken.items()}))
         if tried[-1].typical < SETTLES * found.typical:
             break
     return max(tried, key=lambda c: c.evidence.nats)
 
 
-def fitted(found: Candidate, lobes: LampLobes, more=None) -> Candidate:
-    """The fit with lobes where they suit best: those of `found`, and more {lamp: (4,)}. `taken` holds them."""
-    lobes_at, start, others = (
-        found.taken.get(NAME, {}) | (more or {}),
-        found.start,
-        found.problem.cause and found.problem.cause.without(NAME),
-    )
-    base = replace(found.problem, cause=others)
-    at = _plain(lobes.problem(base, lobes_at), start)
-    errors, enough = [_error(at)], HOPE * np.abs(found.result.tile_residual).mean()
-    while len(errors) < ROUNDS and (len(errors) <= PATIENCE or errors[-1] < min(GAINS * errors[-1 - PATIENCE], enough)):
-        trial = replace(at.problem, cause=lobes.cause(at, lobes_at).beside(others))
-        result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=INNER)
-        for share in SHARES:
-            there, begin = stepped(lobes_at, trial.cause, share * result.state.cause), _part_way(start, result, share)
-            after = _plain(lobes.problem(base, there), begin)
-            if _error(after) < errors[-1]:
-                break
-        else:
-            break
-        lobes_at, start, at = there, begin, after
-        errors.append(_error(at))
-        if share * np.abs(result.state.cause[trial.cause.of(NAME)]).max() < SETTLED:
-            break
-    last = replace(at.problem, cause=lobes.cause(at, lobes_at).beside(others))
-    return Candidate.of(last, found.taken | {NAME: lobes_at}, start=start)
-
-
 def is_flat(found: Candidate) -> bool:
     """Lamps that are lambertian, or next to it: their lobes have run into the least exponent."""
-    return all(lobe[3] <= FLAT * LEAST for lobe in found.taken[NAME].values())
-
-
-def _part_way(start: Unknowns, result: Result, share) -> Unknowns:
-    """From `start` towards where a fit ended."""
-    state, between = result.state, lambda a, b: a + share * (b - a)
-    transfer = state.transfer.moved(between(start.transfer.parameters, state.transfer.parameters))
-    return start._replace(rho=between(start.rho, state.rho), E=between(start.E, state.E), transfer=transfer)
-
-
-def _error(at: Equations):
-    """Mean display error of the tiles: outliers have no more than their share."""
-    return np.abs(at.residual).mean()
-
-
-def _plain(problem, start) -> Equations:
-    """The equations without a cause, where a fit ended."""
-    problem = replace(problem, cause=None)
-    return Equations(problem, TileLight(problem), Layout.of(problem), start._replace(cause=None))
+    return all(lobe[3] <= FLAT * LEAST for lobe in found.taken[LampLobe.name].values())

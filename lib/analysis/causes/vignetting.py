@@ -8,16 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from lib.analysis.causes import gammas
 from lib.analysis.causes.candidates import Candidate
-from lib.analysis.fit.evidence import promised
-from lib.analysis.fit.gauss_newton import gauss_newton
+from lib.analysis.causes.cause import Cause, Rounds, Tried, believed
+from lib.analysis.causes.scope import Scope
+from lib.analysis.fit.facts import USUAL_GAMMA
 from lib.analysis.fit.problem import CauseTerms, Problem
 from lib.analysis.seen.gather import Gathered
 from lib.given.falloff import Lens
 from lib.given.transfer import Metric, Transfer
 from lib.given.view import View
 
-NAME, TERMS = "vignetting", 3
+TERMS = 3  # powers of the squared radius
 WIDE = 2.0  # times what lenses have: standard deviations of k before anything is seen
 RISES = 0.05  # of V outwards, at most
 DEEP = 0.005  # that it falls by, at least: less is what curves leave (.2 % in small-282), and moves no reflectance
@@ -25,8 +27,8 @@ STRANGE = 2.0  # of the unit numbers together: the usual cos^4 has .7, and one b
 LIKELY = 2  # told gammas that one step towards a shadow suits best
 # of the unit numbers, round by round of fitting and dividing: at first little more than the usual shape, or a few tiles
 # far out pass for outliers and the rest takes any shape
-SPREADS = ((0.05, 0.1, 1.0), (0.2, 0.5, 1.0), *((1.0, 1.0, 1.0),) * 8)  # three had left small-2527 half-way
-SETTLED = 2e-3  # change of V at the corner that ends them
+SPREADS = ((0.05, 0.1, 1.0), (0.2, 0.5, 1.0))
+MOST_OF_LENS = 10.0  # standard deviation of k that tells nothing
 
 
 def divided(pixels, gain, transfer: Transfer) -> np.ndarray:
@@ -53,18 +55,99 @@ def _lenses() -> np.ndarray:
     return WIDE * axes * np.sqrt(size)
 
 
-def _cause(problem: Problem, at, r2, k=(0.0,) * TERMS) -> CauseTerms:
-    """Unit numbers of a change of k, linearised: what is seen, over V, is the light.  k : where the problem stands"""
-    gain = 1.0 if problem.gain is None else problem.gain
-    share = np.stack([r2 ** (j + 1) for j in range(TERMS)], axis=-1) / gain @ _lenses()  # (T, k)
-    columns = at.displayed(at.state.B)[..., None] * share[:, None, :]
-    return CauseTerms((NAME,) * TERMS, columns, np.ones(TERMS), -np.linalg.solve(_lenses(), k))
+class Vignetting(Cause):
+    """A lens that is darker towards the corners: k of V = 1 + k1 r^2 + k2 r^4 + k3 r^6."""
+
+    name = "vignetting"
+    is_of_camera = True
+    rounds = Rounds(most=10, inner=4, settled=2e-3, tight=len(SPREADS))  # three had left small-2527 half-way
+
+    def __init__(self, lens: Lens, pixel):
+        """pixel : (M,) flat, of the tiles"""
+        self.lens, self.pixel = lens, pixel
+
+    @classmethod
+    def of(cls, scope: Scope):
+        return cls(scope.lens, scope.pixel) if scope.lens is not None and cls.name in scope.allowed else None
+
+    def none(self):
+        return np.zeros(TERMS)
+
+    def terms(self, problem: Problem, at, values) -> CauseTerms:
+        """Unit numbers of a change of k: what is seen, over V, is the light."""
+        gain, r2 = 1.0 if problem.gain is None else problem.gain, _means(problem, self.lens.radius2(self.pixel))
+        share = np.stack([r2 ** (j + 1) for j in range(TERMS)], axis=-1) / gain @ _lenses()  # (T, k)
+        columns = at.displayed(at.state.B)[..., None] * share[:, None, :]
+        return CauseTerms((self.name,) * TERMS, columns, np.ones(TERMS), -np.linalg.solve(_lenses(), values))
+
+    def spread(self, round, terms):
+        return terms if round >= len(SPREADS) else terms._replace(spread=np.array(SPREADS[round]))
+
+    def moved(self, values, step):
+        return values + change(step)
+
+    def standing(self, problem: Problem, values) -> Problem:
+        gain = _means(problem, self.lens.gain(self.pixel, values))[:, None] if np.any(values) else None
+        return replace(problem, gain=gain)
+
+    def length(self, step):
+        """Change of V at the corner."""
+        return abs(change(step).sum())
+
+    def tried(self, found: Candidate, promised) -> Tried:
+        first = self.fitted(found)
+        if not gammas.is_stuck(first, found) and not (gammas.searched(first) and is_strange(k_of(first))):
+            return Tried(first)
+        other = self.fitted_from(found, (*gammas.STARTS, USUAL_GAMMA))
+        return Tried(max(first, other, key=lambda c: c.evidence.nats))
+
+    def fitted_from(self, found: Candidate, gammas) -> Candidate:
+        """The fit from where one of these gammas suits best: gamma and the lens's shadow share a valley.
+
+        A gamma that was fitted without the shadow may lie far from the truth, and a shadow that suits it, too.
+        """
+        told = [
+            replace(found.problem, transfer=replace(found.problem.transfer, gamma=gamma), fit_transfer=False)
+            for gamma in gammas
+        ]
+        bare = [Candidate.of(p, found.taken) for p in told]
+        bare = sorted(bare, key=lambda c: c.evidence.nats + self.promise(c))[-LIKELY:]
+        best = max((self.fitted(c) for c in bare), key=lambda c: c.evidence.nats)
+        return self.fitted(replace(best, problem=replace(best.problem, fit_transfer=True), asked={}))
+
+    def is_physical(self, fitted: Candidate, before: Candidate) -> bool:
+        return is_shadow(k_of(fitted))
+
+    def undone(self, view, values, transfer):
+        return without(view, self.lens, values, transfer)
+
+    def says(self, values, problem, result):
+        if result.cov_cause is None or not (own := problem.cause.of(self.name)).any():
+            return [(None, self._named(values), None)]
+        k = values + change(result.state.cause[own])
+        spread = believed(sigma(result.cov_cause[np.ix_(own, own)]), MOST_OF_LENS)
+        return [(None, self._named(k), spread and {"k": spread})]
+
+    def _named(self, k):
+        return {"k": list(map(float, k)), "centre_px": list(self.lens.centre)}
 
 
-def left_open(problem: Problem, at, lens: Lens, pixel, k) -> CauseTerms:
-    """What may be added to k where the photograph was divided by it. pixel : (M,) flat, of the tiles"""
-    gain = _means(problem, lens.gain(pixel, k))[:, None]
-    return _cause(replace(problem, gain=gain), at, _means(problem, lens.radius2(pixel)), k)
+def k_of(found: Candidate) -> np.ndarray:
+    """(TERMS,) k of a fit."""
+    own = found.problem.cause.of(Vignetting.name)
+    return found.taken[Vignetting.name] + change(found.result.state.cause[own])
+
+
+def is_shadow(k) -> bool:
+    """A lens's shadow deepens outwards, and by more than nothing; else the terms have bent to something else."""
+    r2 = np.linspace(0, 1, 101)
+    V = 1 + sum(value * r2 ** (j + 1) for j, value in enumerate(k))
+    return bool((V - np.minimum.accumulate(V)).max() < RISES and V.min() < 1 - DEEP)
+
+
+def is_strange(k) -> bool:
+    """No lens has such a shadow: it suits a gamma that is wrong."""
+    return bool(np.linalg.norm(np.linalg.solve(_lenses(), k)) > STRANGE)
 
 
 def change(numbers) -> np.ndarray:
@@ -80,64 +163,6 @@ def sigma(covariance) -> list:
 def _means(problem, values):
     """(T,) of values (M,) of the tiles' pixels."""
     return np.add.reduceat(values, problem.start[:-1]) / problem.n_pixels
-
-
-def promise(found: Candidate, lens: Lens, pixel) -> float:
-    """Nats that one step towards a vignetted picture brings. pixel : (M,) flat, of the tiles"""
-    cause = _cause(found.problem, found.result.at, _means(found.problem, lens.radius2(pixel)))
-    prior = np.diag(1 / cause.spread**2)
-    return promised(found.problem, found.result.at, cause.columns, prior=prior).nats - found.evidence.nats
-
-
-def fitted(found: Candidate, lens: Lens, pixel) -> Candidate:
-    """The fit with a vignetted lens; its problem has the lens's gain. `taken` holds k, where that of `found` begins."""
-    problem, at = found.problem, found.result.at
-    r2, k = _means(problem, lens.radius2(pixel)), found.taken.get(NAME, {"k": np.zeros(TERMS)})["k"]
-    start = found.start
-    for spread in SPREADS:
-        cause = _cause(problem, at, r2, k)._replace(spread=np.array(spread))
-        trial = replace(problem, cause=cause.beside(problem.cause))
-        result = gauss_newton(trial, start=start, finish=False, tolerance=1e-3, max_iterations=4)
-        at, step = result.at, change(result.state.cause[trial.cause.of(NAME)])
-        k = k + step
-        problem = replace(problem, gain=_means(problem, lens.gain(pixel, k))[:, None])
-        start = start._replace(rho=result.state.rho, E=result.state.E, transfer=result.state.transfer)
-        if spread is SPREADS[-1] and abs(step.sum()) < SETTLED:
-            break
-    last = replace(problem, cause=_cause(problem, at, r2, k).beside(problem.cause))
-    return Candidate.of(last, found.taken | {NAME: {"k": k, "centre_px": lens.centre}}, start=start)
-
-
-def fitted_from(found: Candidate, gammas, lens: Lens, pixel) -> Candidate:
-    """The same from where one of these gammas suits best: gamma and the lens's shadow share a valley.
-
-    A gamma that was fitted without the shadow may lie far from the truth, and a shadow that suits it, too.
-    """
-    told = [
-        replace(found.problem, transfer=replace(found.problem.transfer, gamma=gamma), fit_transfer=False)
-        for gamma in gammas
-    ]
-    bare = [Candidate.of(p, found.taken) for p in told]
-    bare = sorted(bare, key=lambda c: c.evidence.nats + promise(c, lens, pixel))[-LIKELY:]
-    best = max((fitted(c, lens, pixel) for c in bare), key=lambda c: c.evidence.nats)
-    return fitted(replace(best, problem=replace(best.problem, fit_transfer=True)), lens, pixel)
-
-
-def _found(candidate: Candidate):
-    """(TERMS,) k of a fit."""
-    return candidate.taken[NAME]["k"] + change(candidate.result.state.cause[candidate.problem.cause.of(NAME)])
-
-
-def is_shadow(found: Candidate) -> bool:
-    """A lens's shadow deepens outwards, and by more than nothing; else the terms have bent to something else."""
-    r2 = np.linspace(0, 1, 101)
-    V = 1 + sum(value * r2 ** (j + 1) for j, value in enumerate(_found(found)))
-    return bool((V - np.minimum.accumulate(V)).max() < RISES and V.min() < 1 - DEEP)
-
-
-def is_strange(found: Candidate) -> bool:
-    """No lens has such a shadow: it suits a gamma that is wrong."""
-    return bool(np.linalg.norm(np.linalg.solve(_lenses(), _found(found))) > STRANGE)
 
 
 def corrected(gathered: Gathered, lens: Lens, k, transfer: Transfer) -> Gathered:

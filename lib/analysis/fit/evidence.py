@@ -13,6 +13,7 @@ channels of a tile count as one observation, since shadows and rays move them to
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,6 +92,30 @@ def gain(problem: Problem, after: Evidence, before: Evidence) -> tuple[float, fl
     most = np.bincount(problem.tile_group, after.each - before.each).argmax()
     others = problem.tile_group != most
     return after.nats - before.nats, after.on(others).nats - before.on(others).nats
+
+
+class Difference(NamedTuple):
+    """nats : that one explanation has more than another;  dse : standard error of that, over groups"""
+
+    nats: float
+    dse: float
+
+    @property
+    def z(self) -> float:
+        return self.nats / max(self.dse, 1e-9)
+
+
+def difference(problem: Problem, after: Evidence, before: Evidence) -> Difference:
+    """By how much one explanation is better, and how far that hangs on single groups.
+
+    What is of the whole picture shows in every group; what one group's light or material does, in that one. As arviz's
+    `compare` has `dse` over observations, here over groups: tiles of one group err together.
+    """
+    by_group = np.bincount(problem.tile_group, after.each - before.each, minlength=len(problem.groups))
+    by_group = by_group[problem.seen_groups]
+    n = len(by_group)
+    dse = float(np.sqrt(n * by_group.var(ddof=1))) if n > 1 else np.inf
+    return Difference(after.nats - before.nats, dse)
 
 
 def noise_variance(problem: Problem, at: Equations) -> np.ndarray:

@@ -22,6 +22,10 @@ from lib.given.transfer import Metric, Transfer
 from lib.light.balance import BALANCED
 from lib.light.factors_file import OUTSIDE
 
+# The error that neighbouring tiles have in common, in what noise explains. A fit is one up to FITS: exact scenes have
+# .2 to .45, a pose 2 px off 1.3 to 2.6, a lamp 12 cm off 4 to 8. From DOUBT it is worth while to look further.
+FITS = 1.2
+DOUBT = 0.4
 MISFIT = 4.0  # residuals so many times what noise explains: something told to the fit is wrong
 # of the variance of a pixel beside an edge that tiles have, over their pixels: twice what tiles of 4 to 30 pixels were
 # off by in JPEGs of quality 80
@@ -334,6 +338,16 @@ class Result:
         """Of gamma, None where it is not fitted."""
         fitted = self.cov_transfer is not None and self.state.transfer.kind == "gamma"
         return float(np.sqrt(self.cov_transfer[0, 0])) if fitted else None
+
+    @property
+    def fits(self) -> bool:
+        """What is left is noise: neighbouring tiles have little of it in common."""
+        return self.correlated <= FITS
+
+    @property
+    def in_doubt(self) -> bool:
+        """The geometry may not be as given."""
+        return self.correlated >= DOUBT
 
     @property
     def balanced(self):

@@ -80,6 +80,15 @@ def widen(problem: Problem, result: Result, terms: CauseTerms):
         result.sigma_bend = np.hypot(result.sigma_bend, size[ends[3] : ends[4]])
 
 
+def doubt(result: Result, other, share=1.0):
+    """Sigma of the values that were found holds a share of what another explanation's State has for them."""
+    for name in ("rho", "E", "rho_s", "bend"):
+        sigma, values = getattr(result, f"sigma_{name}"), getattr(result.state, name)
+        if sigma is not None and values is not None:
+            off = share * (getattr(other, name) - values)
+            setattr(result, f"sigma_{name}", np.where(sigma > 0, np.hypot(sigma, off), sigma))
+
+
 def doubts(terms):
     """(terms of the transfer function or None, the others or None)"""
     if terms is None:

@@ -21,8 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lib.analysis.causes import unlike
-from lib.analysis.causes.agreement import fits
+from lib.analysis.causes import one_object
 from lib.analysis.causes.candidates import enough
 from lib.analysis.fit import misfits
 from lib.analysis.fit.misfits import is_over, tolerance
@@ -76,7 +75,7 @@ def climb(
         here = fitted(here)
     wanted = {g: kind for g, kind in given.items() if kind in (*MIRRORS, *LOBES)}
     for here.rounds in range(1, rounds + 1):
-        step = _Step(site, here, wanted, settled, threshold, things, sure_only=not fits(here.result), small=small)
+        step = _Step(site, here, wanted, settled, threshold, things, sure_only=not here.result.fits, small=small)
         taken = step.taken()
         if not taken:
             break
@@ -175,7 +174,7 @@ class _Step:
     def _unlike(self) -> set:
         """The groups of objects that have not their group's reflectance."""
         here = self.here
-        found = unlike.objects(here.problem, here.result)
+        found = one_object.objects(here.problem, here.result)
         return {one.group for one in found if one.nats >= enough(here.problem)}
 
     def energy(self, g):

@@ -26,6 +26,7 @@ from lib.light.form_factors import FormFactorRows
 from lib.light.surface import Surface, backproject, side_normals
 
 MOST_RAYS = 4096  # from one tile
+TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,3 +323,8 @@ def read(path) -> Gathered:
     more["linear"], more["channels_in_file"] = bool(more["linear"]), int(more["channels_in_file"])
     more["block_noise"], more["noisy"] = float(more["block_noise"]), bool(more["noisy"])
     return Gathered(tiles, **more)
+
+
+def out_of_range(found: Gathered) -> bool:
+    """The photograph's values are so small that they must be meant for another range."""
+    return not found.linear and len(found.pixels) > 0 and found.pixels.max() <= TWELVE_BITS + 1e-9

@@ -10,6 +10,15 @@ from lib.verdict.page.parts import Parts
 from lib.verdict.page.plots import Series, plot
 
 KINDS = "abcdef"  # CSS classes of the lines of a plot
+CAUSES = {  # as people name them
+    "response": "another response",
+    "curve": "a response curve",
+    "matrix": "a camera that mixes colours",
+    "glow": "light from outside",
+    "lamps": "lamps other than told",
+    "object": "one object of another material",
+    "lamp_lobe": "lamps that throw lobes",
+}
 CLOCKS = ("cpu_s", "wall_s", "iteration")  # of a point of a trace: what is no error
 
 
@@ -19,7 +28,17 @@ CLOCKS = ("cpu_s", "wall_s", "iteration")  # of a point of a trace: what is no e
 def convergence_section(parts: Parts):
     """What each stage can see of its error, against time."""
     plots = [drawn for stage, report in parts.reports.items() for drawn in _plots(stage, report.trace)]
-    return render("convergence.html", plots=plots) if plots else ""
+    asked = [_asked(question) for question in parts.reports["fit"].questions] if "fit" in parts.reports else []
+    return render("convergence.html", plots=plots, asked=asked) if plots or asked else ""
+
+
+def _asked(question):
+    """(cause, beside, promised, brought, standard error, decision), as the table of questions shows them."""
+    number = lambda value: f"{value:.0f}" if finite(value) else ""
+    named = lambda cause: CAUSES.get(cause, plain(cause or ""))
+    beside = ", ".join(map(named, question.beside))
+    numbers = (number(value) for value in (question.promised, question.nats, question.dse))
+    return named(question.cause), beside, *numbers, question.decision or ""
 
 
 def _plots(stage, trace):

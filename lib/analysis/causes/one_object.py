@@ -11,6 +11,7 @@ from lib.analysis.fit.evidence import evidence, promised
 from lib.analysis.fit.misfits import OTHER, THRESHOLD
 from lib.analysis.fit.problem import Problem, Result
 
+NAME = "object"
 LOOKED_AT = 4  # objects whose own reflectance is tried
 SLIGHT, SLIGHTLY = 0.002, 0.01  # display, and relative: what counts where nothing else is known to be wrong
 

@@ -13,6 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from lib.analysis.causes.candidates import Candidate, enough
+from lib.analysis.causes.cause import Cause, Tried
+from lib.analysis.causes.scope import Scope
 from lib.analysis.fit.equations import smooth
 from lib.analysis.fit.evidence import promised
 from lib.analysis.fit.facts import USUAL_GAMMA
@@ -26,15 +28,49 @@ SURELY = 5  # times what a curve must bring: what is promised more is its, or sR
 LIKELY = 0.6  # of the nats that a curve must bring, which a step must promise: they differ by a tenth
 
 
+class Response(Cause):
+    """Another transfer function than the one that is fitted or told."""
+
+    name = "response"
+    free = 0  # sRGB has no free number
+    is_linearised = False
+
+    def __init__(self, is_free):
+        """is_free : it may be taken; one that scene.yaml tells only has rivals"""
+        self.is_free = is_free
+
+    @classmethod
+    def of(cls, scope: Scope):
+        return cls(scope.response)
+
+    def may(self, found: Candidate) -> bool:
+        return found.problem.transfer.kind != "linear" or not self.is_free  # EXR is linear by what it is
+
+    def comes_along(self, found: Candidate) -> bool:
+        return self.is_free and found.kind == "gamma"
+
+    def promise(self, found: Candidate) -> float:
+        return promise(found)
+
+    def tried(self, found: Candidate, promised) -> Tried:
+        functions = (found, *fitted(found, promised if self.is_free else np.inf))
+        best = simplest(functions) if self.is_free else found
+        return Tried(best, functions, unresolved(functions, best, promised), is_simpler=best.kind == "srgb")
+
+
 def promise(found: Candidate) -> float:
     """Nats that one step from the fit towards a free curve brings."""
+    return found.once(Response.name, _one_step)
+
+
+def _one_step(found: Candidate) -> float:
     at, problem = found.result.at, found.problem
     curve = at.state.transfer.as_curve()
     metric, seen = Metric(curve), observe(problem, curve.bare)
     columns = metric.by_parameters(curve.mixed(at.state.B)) - metric.by_parameters(seen[0])
     columns = columns - metric.slope(seen[0])[..., None] * seen[1]
     prior = smooth(len(KNOTS))
-    return promised(problem, at, columns, at.layout.responding, prior).nats - found.evidence.nats
+    return found.one_step(Response.name, promised(problem, at, columns, at.layout.responding, prior))
 
 
 def under_srgb(found: Candidate) -> Candidate:
@@ -101,6 +137,11 @@ def unresolved(candidates, best: Candidate, promised=None) -> float:
     if promised is not None and all(c.kind != "curve" for c in candidates):
         bent.append(promised - (best.evidence.nats - candidates[0].evidence.nats))
     return max(bent, default=0.0)
+
+
+def rivals_of(functions, best) -> dict:
+    """{kind: nats} by which other transfer functions beat the best's."""
+    return {c.kind: c.evidence.nats - best.evidence.nats for c in functions if c is not best}
 
 
 def _is_resolved(one: Candidate, other: Candidate) -> bool:

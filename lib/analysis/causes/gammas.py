@@ -1,0 +1,45 @@
+"""Where a search for gamma may begin: reflectances and gamma share a valley, and some rooms have two.
+
+Dark photographs have another minimum beyond gamma 4, and so have white rooms.
+"""
+
+from __future__ import annotations
+
+from lib.analysis.causes import response
+from lib.analysis.causes.candidates import Candidate, enough
+from lib.analysis.fit.facts import USUAL_GAMMA
+
+STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
+FAR_GAMMA = 4.0  # beyond it other starts are tried whatever is left to explain
+SAME = 0.01  # gammas that differ by less are of one minimum
+LOST = 0.045  # display, median of the tiles: gammas that ran away left .025, a lamp turned round .067
+HOPELESS = 0.015  # display, median of the tiles: no other start of gamma explains what is so far off
+STUCK = 0.05  # of what a cause has brought: right ones leave .03, one beside a gamma of 5.6 for 2.2 leaves .17
+
+
+def searched(found: Candidate) -> bool:
+    """Another start may find another gamma."""
+    return found.problem.fit_transfer and found.kind == "gamma" and found.typical < HOPELESS
+
+
+def is_stuck(fitted: Candidate, before: Candidate) -> bool:
+    """Another gamma may suit a cause better: a curve still promises much beside what the cause has brought."""
+    much = max(enough(fitted.problem), STUCK * (fitted.evidence.nats - before.evidence.nats))
+    return searched(fitted) and response.promise(fitted) >= much
+
+
+def ran_away(found: Candidate) -> bool:
+    """gamma went where hardly a camera is, as in white rooms in dim light, where all reflectances go to 0 with it."""
+    gamma = found.result.state.gamma if found.problem.fit_transfer and found.kind == "gamma" else 0.0
+    return gamma > FAR_GAMMA and found.typical < LOST
+
+
+def from_others(first: Candidate) -> Candidate:
+    """The likeliest of the fits that begin elsewhere, or this one."""
+    gamma = first.result.state.gamma
+    starts = STARTS if gamma > USUAL_GAMMA else STARTS[::-1]
+    across = Candidate.of(first.problem, gamma=starts[0])  # from the other side of where the first began
+    if abs(across.result.state.gamma - gamma) < SAME:
+        return first
+    others = [Candidate.of(first.problem, gamma=start) for start in starts[1:]]
+    return max([first, across, *others], key=lambda c: c.evidence.nats)

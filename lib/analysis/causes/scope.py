@@ -1,0 +1,42 @@
+"""What a scene leaves open, and what is known of the photograph that causes need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from lib.analysis.seen.gather import Gathered, out_of_range
+from lib.given.causes import BUILT
+from lib.given.falloff import Lens
+
+
+@dataclass(frozen=True, eq=False)
+class Scope:
+    """What may be explained.
+
+    response : the transfer function is free;  allowed : names of causes that may be taken
+    lens, pixel : where the pixels (M,) of the tiles lie;  None: nothing is known of the lens
+    lobes : lamp_lobe.LampLobe, None where nothing is known of the ways of their light
+    vain : nothing can be learnt from such values
+    asked : [Question], which the search adds to
+    """
+
+    response: bool = True
+    allowed: tuple = BUILT
+    lens: Lens | None = None
+    pixel: np.ndarray | None = None
+    lobes: Any = None
+    vain: bool = False
+    asked: list = field(default_factory=list)
+
+    @classmethod
+    def of(cls, camera, gathered: Gathered, transfer, allowed, lobes=None, asked=None) -> Scope:
+        """camera : Camera or None;  transfer, allowed : of scene.yaml, None: all that is left open"""
+        lens = None if camera is None else Lens((camera.K[0, 2], camera.K[1, 2]), (camera.width, camera.height))
+        allowed = tuple(BUILT if allowed is None else allowed)
+        response = transfer in (None, "auto") and "curve" in allowed
+        return cls(
+            response, allowed, lens, gathered.tiles.pixel, lobes, out_of_range(gathered), [] if asked is None else asked
+        )
