@@ -105,6 +105,7 @@ def scored(build, folder):
         "unidentified": unidentified,
         "kinds": wrong_kinds,
         "cpu_s": cpu_s,
+        "questions": json.loads((build / "fit.report.json").read_text()).get("questions", []),
     }
 
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lib.analysis.causes import glow, told_lamps, told_reference, told_transfer
+from lib.analysis.answer.answers import Answer, audit_of, things_of
+from lib.analysis.causes import colour_mixing, glow, response, told_lamps, told_reference, told_transfer
 from lib.analysis.causes.candidates import Candidate, enough
+from lib.analysis.causes.colour_mixing import ColourMixing
 from lib.analysis.fit.evidence import evidence
 from lib.analysis.fit.problem import Problem, Result
 from lib.analysis.seen.gather import Gathered, out_of_range
@@ -17,6 +19,13 @@ from lib.given import jpeg
 from lib.given.materials import Why
 
 ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which nothing found is believed
+# of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
+MIXES = 0.4
+# times the error that another transfer function leaves beside lobes: so much it must change. A false one changed 1.2;
+# where it leaves no error, anything it changes is more
+DISTINCT = 2.0
+NOTHING = 0.0015  # display, that a group is off by where no thing stands before it: the least would leave .002
+THROWN = 0.3  # of what a group was off by, that mirrors' light leaves where that is all that looked like a thing
 
 
 def disagreements(problem: Problem, result: Result, found: Gathered, asked, rivals) -> list[Why]:
@@ -99,3 +108,122 @@ def _on_bounds(problem, result):
         f"the reflectances of {at.sum()} of {free.sum()} groups lie on their bounds: the lamps or the scale are not so"
     )
     return [Why("unknown", None, text, None)]
+
+
+def reasons(task, answer: Answer, edges, things=None):
+    """[Why] photograph and facts do not agree, the likeliest first. things : of strangers.things, where known"""
+    result = answer.result
+    why = disagreements(answer.problem, result, task.found, task.transfer, answer.explained.rivals)
+    if answer.climb and task.transfer in (None, "auto") and result.fits:
+        why = [w for w in why if w.cause != "lamp_colour" or not _mixes_colours(answer, w.evidence_nats)]
+    if edges is not None and result.in_doubt:
+        why = joined(why, edges.why)
+    if not why and answer.climb and task.transfer in (None, "auto"):
+        why = told_lamps.lamps_behind_curve(answer.problem, result, answer.explained.given)
+    if answer.audit is None or any(w.cause == "transfer" for w in why):
+        return why  # under another function than the camera's, shadows look like things
+    return joined(why, _strange(task, answer, bool(why), things))
+
+
+def _mixes_colours(answer, nats) -> bool:
+    """In the light of what has climbed the camera explains much of what lamps of another colour do: sigma has both."""
+    return colour_mixing.may(answer.candidate) and ColourMixing().promise(answer.candidate) > MIXES * nats
+
+
+def rivals(answer) -> dict:
+    """{kind: nats} of other transfer functions, asked again in the light of what has climbed.
+
+    It may leave a curve as much to bring as it must: the diffuse fit was right. Else they are fitted anew, and those
+    count that change more than that light is off. None where a curve promises nothing any more.
+    """
+    rivals = answer.explained.rivals
+    if not rivals or answer.climb is None:
+        return rivals
+    found = answer.candidate
+    promised = response.promise(found)
+    if promised >= enough(found.problem):
+        return rivals
+    others = response.fitted(found) if promised > 0 else []
+    tells = [c for c in others if c.off(found) > DISTINCT * c.evidence.discrepancy]
+    return {c.kind: c.evidence.nats - found.evidence.nats for c in tells}
+
+
+def _strange(task, answer, is_wrong, things):
+    """What the photograph shows and the model has not, in words. is_wrong : photograph and facts disagree anyway"""
+    from lib.analysis.answer import strangers
+
+    explained, climb = answer.explained, answer.climb
+    climbed = {} if climb is None else {g: place.rung for g, place in climb.places.items() if place.rung != "diffuse"}
+    # where the picture disagrees all the same, a texture is no explanation
+    doubtful = is_wrong or climb and climb.result.in_doubt
+    objects = lambda: task.view().model.objects
+    sure = {g: rung for g, rung in climbed.items() if not doubtful or rung != "textured"}
+    if things is None and sure:
+        things = strangers.things(task.view(), task.factors, explained, answer.audit, sure)
+    elif things is None:
+        things = things_of(task, explained, answer.audit)
+    if not is_wrong:
+        things = [t for t in things if not (t.is_of_print and climbed.get(t.behind[0]) == "textured")]
+    if climb is not None and climb.result.fits:
+        things = [t for t in things if not _is_thrown(t, answer)]
+    return [
+        *strangers.said(things, explained.problem.groups),
+        *(
+            strangers.groups_wrong(explained.problem, explained.result, objects, climbed)
+            or strangers.things_unlike(explained, answer.audit, answer.judged, objects, climbed)
+        ),
+    ]
+
+
+def _is_thrown(thing, answer) -> bool:
+    """It is light that mirrors or lobes throw: under it nothing is left of what the groups behind were off by."""
+    before, now = answer.judged, answer.climb.misfits
+    left = lambda g: now[g].excess if g in now else np.inf
+    return all(g in before and left(g) < max(THROWN * before[g].excess, NOTHING) for g in thing.behind[:2])
+
+
+def things_in_doubt(task, answer) -> list:
+    """What stands before surfaces that the model has not, the largest first, where that is most of what is off."""
+    found = answer.explained
+    flagged = answer.audit.flagged(found.problem, answer.judged)
+    if not flagged and not found.result.in_doubt:
+        return []
+    things = things_of(task, found, answer.audit)
+    behind = {g for thing in things for g in thing.behind}
+    energy = lambda groups: sum(answer.judged[g].energy for g in groups if g in answer.judged)
+    return things if energy(behind) >= energy(set(flagged) - behind) else []
+
+
+def something_missing(task, answer, edges, things) -> list:
+    """[Why], where something stands before several groups that the model has not: no more is looked for then, since all
+    that could be learnt would bend to it."""
+    if all(thing.alone for thing in things):
+        return []  # a mirror may throw such light
+    why = reasons(task, answer, edges, things)
+    return why if any(w.cause == "object_missing" for w in why) else []
+
+
+def another_material(task, answer) -> list:
+    """[Why] of one object whose own reflectance leaves nothing to explain.
+
+    Before lobes, places and the ladder are tried, which would only bend to it.
+    """
+    found = answer.explained
+    if answer.audit.given or not found.result.in_doubt:
+        return []
+    from lib.analysis.answer import strangers
+
+    model = task.view().model
+    owner = lambda: np.asarray(model.facet_object)[task.factors.mesh.side // 2]
+    return strangers.alone_unlike(found, answer.audit, owner, lambda: model.objects, **task.options)
+
+
+def missing(task, explained, audit) -> list:
+    """[Why] of things that the model has not: light that they take may pass for a lamp's."""
+    from lib.analysis.answer import strangers
+
+    return strangers.said(things_of(task, explained, audit), explained.problem.groups)
+
+
+def energy(task, explained):
+    return audit_of(task, explained).energy(explained.problem, explained.result)
