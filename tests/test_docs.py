@@ -8,7 +8,7 @@ from lib.core.stage import BadInput
 from lib.planning import scene as scenes
 from lib.planning.pipeline import read_pipeline
 from lib.planning.walk import walk
-from tests.bench import reader_table
+from tests.bench import figures, reader_table
 from tests.helpers.attic import attic
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -111,6 +111,14 @@ def test_every_picture_is_shown(root):
     assert not [p.name for p in root.glob("docs/*") if p.suffix in (".png", ".jpg") and p.name not in shown]
 
 
+def test_every_picture_is_made_by_a_command(root):
+    """`python -m tests.bench.figures` knows it, and docs/decisions/figures.md says what it is made of."""
+    pictures = {p.name for p in root.glob("docs/*") if p.suffix in (".png", ".jpg")}
+    assert {figure.file for figure in figures.FIGURES.values()} == pictures
+    page = (root / "docs/decisions/figures.md").read_text(encoding="utf-8")
+    assert not [name for name in pictures if name not in page]
+
+
 @pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md", "CONTRIBUTING.md"])
 def test_targets_that_are_named_are_there(root, name):
     """`make x` of a document is a target of the Makefile, or a scene or a stage of one."""
@@ -124,6 +132,19 @@ def test_targets_that_are_named_are_there(root, name):
 def test_the_page_of_readers_is_what_the_readers_say(root):
     """`python -m tests.bench.reader_table > docs/readers.md` makes it."""
     assert (root / "docs/readers.md").read_text(encoding="utf-8") == reader_table.page()
+
+
+def test_the_tutorial_can_be_walked(root, tmp_path, run):
+    """Its files are shipped, its picks are those that it prints, and its first command takes them."""
+    text = (root / "docs/tutorial.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"(?<![\w/.-])((?:data|docs)/[\w/-]+\.\w+)", text)) - {"data/study/scene.yaml"}
+    assert named and not [file for file in named if not (root / file).exists()]
+    picks = (root / "docs/tutorial/points.csv").read_text(encoding="utf-8")
+    assert "".join(f"    {line}\n" for line in picks.splitlines()) in text
+    command = re.search(r"\$ make new-scene NAME=study (.*)", text)[1]
+    told = [f"--{key.lower()}={root / file}" for key, file in re.findall(r"([A-Z]+)=(\S+)", command)]
+    done = run("stages/new_scene.py", f"--data={tmp_path}", "--name=study", *told)
+    assert done.returncode == 0 and "picks: 8, 8 of them corners of the model" in done.stdout, done.stderr
 
 
 # What stands in the list "Not built yet" of data/SCENE.md: {its word there: (how README would promise it, scene.yaml or
