@@ -121,9 +121,11 @@ scenes: .venv-scenes/ready
 	@sed -n 's,^ *\(stages/synthesise.py .*\),\1,p' data/$$ONLY/origin.md | while read -r words; do \
 	  echo "$$words"; .venv-scenes/bin/python $$words; done
 
-# The pages as a site; a link that leads nowhere ends it.  The sources are copied, since links go from page to page as here
-docs: .venv-docs/ready
+# The pages as a site; a link or a citation in the code that leads nowhere ends it.  The sources are copied, since links go
+# from page to page as here
+docs: .venv-docs/ready | setup
 	@rm -rf build/docs-src && mkdir -p build/docs-src
+	@$(PYTHON) -m pytest -q -n 0 tests/test_docs.py -k 'no_link or no_citation' > build/docs.log || { grep '^E' build/docs.log >&2; exit 1; }
 	@git ls-files -z -- '*.md' 'docs/*' pipeline.yaml Containerfile LICENSE CITATION.cff .ci/run | xargs -0 cp --parents -t build/docs-src
 	@.venv-docs/bin/mkdocs build --strict > build/docs.log 2>&1 || { grep -E '^(WARNING|ERROR)' build/docs.log >&2; exit 1; }
 	@echo "file://$(CURDIR)/build/docs/index.html"

@@ -8,15 +8,30 @@ from lib.core.stage import BadInput
 from lib.planning import scene as scenes
 from lib.planning.pipeline import read_pipeline
 from lib.planning.walk import walk
-from tests.bench import reader_table
+from tests.bench import figures, reader_table
 from tests.helpers.attic import attic
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 HEAD = re.compile(r"^#+ +(.*)$", re.MULTILINE)
 
 
+# What code and documents cite without a link: a file, a heading of a document, a module that is run
+FILE = re.compile(r"(?<![\w/.-])((?:docs|lib|stages|tests)/[\w./-]*\.(?:md|py|json|png|jpg|csv|html))\b")
+HEADING = re.compile(r"(?<![\w/.-])((?:docs|data)/[\w./-]*\.md), ([A-Z][^`.,;:()\n\"]*)")
+RUN = re.compile(r"python -m (tests(?:\.\w+)+)")
+PAGE = re.compile(r"# (?P<question>.*)\n\n\*\*(?P<answer>.*)\*\*\n")  # the first lines of docs/decisions/*.md
+
+
 def documents(root):
-    return sorted([*root.glob("*.md"), *root.glob("docs/*.md"), *root.glob("data/*.md"), *root.glob(".github/**/*.md")])
+    folders = ("*.md", "docs/*.md", "docs/decisions/*.md", "data/*.md", ".github/**/*.md")
+    return sorted(path for folder in folders for path in root.glob(folder))
+
+
+def sources(root):
+    """Code and documents that say where something stands. CHANGELOG.md tells of files that went."""
+    code = [path for folder in ("lib", "stages", "tests") for path in root.glob(f"{folder}/**/*.py")]
+    read = [path for path in documents(root) if path.name != "CHANGELOG.md"]
+    return [*code, *read, *root.glob("pipeline.yaml"), *root.glob("Makefile")]
 
 
 def anchors(path):
@@ -47,9 +62,61 @@ def test_a_dead_link_is_found(tmp_path):
     assert list(dead(tmp_path / "a.md")) == ["b.md#three", "c.png"]
 
 
+def lost(root, path):
+    """Citations of a source that lead nowhere: files, headings, modules."""
+    text = path.read_text(encoding="utf-8")
+    for file in FILE.findall(text):  # code also names files of examples and of tests
+        if (path.suffix == ".md" or file.startswith("docs/")) and not (root / file).exists():
+            yield file
+    for file, heading in HEADING.findall(re.sub(r"\n[#\s]*", " ", text)):
+        if not (root / file).exists():
+            continue
+        heads = {head.strip().lower() for head in HEAD.findall((root / file).read_text(encoding="utf-8"))}
+        if not any(heading.lower().startswith(head) or head.startswith(heading.strip().lower()) for head in heads):
+            yield f"{file}, {heading}"
+    for module in RUN.findall(text):
+        place = root.joinpath(*module.split("."))
+        if not (place.with_suffix(".py").exists() or (place / "__main__.py").exists()):
+            yield module
+
+
+def test_no_citation_is_dead(root):
+    found = {str(path.relative_to(root)): list(lost(root, path)) for path in sources(root)}
+    assert not {path: cited for path, cited in found.items() if cited}
+
+
+def test_a_dead_citation_is_found(tmp_path):
+    here, gone = ("/".join(("docs", name)) for name in ("here.md", "gone.md"))  # in pieces: this file is asked, too
+    module = ".".join(("tests", "gone"))
+    (tmp_path / "docs").mkdir()
+    (tmp_path / here).write_text("# A heading\n")
+    (tmp_path / "a.py").write_text(f"{here}, A heading. {gone} ({here}, No heading). python -m {module} 3\n")
+    assert list(lost(tmp_path, tmp_path / "a.py")) == [gone, f"{here}, No heading", module]
+
+
+def test_the_index_of_decisions_is_of_its_pages(root):
+    """Each page begins with its question and its answer, which stand in the index; none is longer than a page."""
+    index = (root / "docs/decisions/README.md").read_text(encoding="utf-8")
+    for path in sorted(root.glob("docs/decisions/*.md")):
+        if path.name != "README.md":
+            text = path.read_text(encoding="utf-8")
+            page = PAGE.match(text)
+            assert page, f"{path.name} does not begin with # question, **answer**"
+            assert f"| [{page['question']}]({path.name}) | {page['answer']} |" in index, path.name
+            assert len(text.split()) <= 450, f"{path.name} has {len(text.split())} words"
+
+
 def test_every_picture_is_shown(root):
     shown = " ".join(path.read_text(encoding="utf-8") for path in documents(root))
     assert not [p.name for p in root.glob("docs/*") if p.suffix in (".png", ".jpg") and p.name not in shown]
+
+
+def test_every_picture_is_made_by_a_command(root):
+    """`python -m tests.bench.figures` knows it, and docs/decisions/figures.md says what it is made of."""
+    pictures = {p.name for p in root.glob("docs/*") if p.suffix in (".png", ".jpg")}
+    assert {figure.file for figure in figures.FIGURES.values()} == pictures
+    page = (root / "docs/decisions/figures.md").read_text(encoding="utf-8")
+    assert not [name for name in pictures if name not in page]
 
 
 @pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md", "CONTRIBUTING.md"])
@@ -65,6 +132,19 @@ def test_targets_that_are_named_are_there(root, name):
 def test_the_page_of_readers_is_what_the_readers_say(root):
     """`python -m tests.bench.reader_table > docs/readers.md` makes it."""
     assert (root / "docs/readers.md").read_text(encoding="utf-8") == reader_table.page()
+
+
+def test_the_tutorial_can_be_walked(root, tmp_path, run):
+    """Its files are shipped, its picks are those that it prints, and its first command takes them."""
+    text = (root / "docs/tutorial.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"(?<![\w/.-])((?:data|docs)/[\w/-]+\.\w+)", text)) - {"data/study/scene.yaml"}
+    assert named and not [file for file in named if not (root / file).exists()]
+    picks = (root / "docs/tutorial/points.csv").read_text(encoding="utf-8")
+    assert "".join(f"    {line}\n" for line in picks.splitlines()) in text
+    command = re.search(r"\$ make new-scene NAME=study (.*)", text)[1]
+    told = [f"--{key.lower()}={root / file}" for key, file in re.findall(r"([A-Z]+)=(\S+)", command)]
+    done = run("stages/new_scene.py", f"--data={tmp_path}", "--name=study", *told)
+    assert done.returncode == 0 and "picks: 8, 8 of them corners of the model" in done.stdout, done.stderr
 
 
 # What stands in the list "Not built yet" of data/SCENE.md: {its word there: (how README would promise it, scene.yaml or

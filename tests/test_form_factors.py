@@ -1,4 +1,6 @@
-"""Form factors against closed forms (docs/design.md), by law (row sums, reciprocity, furnace, flux), and at the edge.
+"""Form factors against closed forms (docs/decisions/closed-forms.md), by law and at the edge.
+
+Laws: row sums, reciprocity, furnace, flux.
 
 Bounds of the methods, measured and tested here:
   analytic   1e-9 everywhere, mostly 1e-15; refused where something can stand in between
@@ -32,7 +34,7 @@ def rotation(seed):
 
 @pytest.mark.parametrize("P, Q, expected", CLOSED)
 def test_polygons_in_closed_form(P, Q, expected):
-    """docs/design.md, Answers in closed form.
+    """docs/decisions/closed-forms.md.
 
     And the same turned, moved and scaled any way, in metres or in microns, from any first corner.
     """
@@ -293,7 +295,7 @@ def test_hemicube_refuses(tmp_path, monkeypatch):
 @pytest.mark.parametrize("method", ["rays", "hemicube"])
 @pytest.mark.parametrize("side, expected", OCCLUDED.items())
 def test_occluder(tmp_path, method, side, expected):
-    """Parallel unit squares with an opaque square half way (docs/design.md, Answers in closed form)."""
+    """Parallel unit squares with an opaque square half way (docs/decisions/closed-forms.md)."""
     low, high = 0.5 - side / 2, 0.5 + side / 2
     s = rooms.surface(
         tmp_path / "m.obj",
@@ -477,7 +479,7 @@ def test_hemicube_agrees_with_rays(furnished, name):
     assert np.sqrt(np.mean(((other.matrix() - rows.matrix()) @ light)[whole] ** 2)) < 0.01
 
 
-# ---- at the edge: the law for each case of docs/design.md, Stiff cases ----
+# ---- at the edge: the law for each case of docs/decisions/stiff-cases.md ----
 
 
 @pytest.mark.parametrize(

@@ -204,6 +204,16 @@ def test_a_room_imports_itself_and_those_before_it():
         )
 
 
+def test_contributing_lists_packages_and_rooms():
+    """It had ten packages of eleven for a week."""
+    listed = {line.strip() for line in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()}
+    complaints(
+        f"CONTRIBUTING.md lacks the line: {'  '.join(names)}"
+        for names in (PACKAGES, *ROOMS.values())
+        if "  ".join(names) not in listed
+    )
+
+
 def test_lib_knows_neither_stages_nor_tests():
     for module in lib_modules():
         complaints(
@@ -282,7 +292,9 @@ def test_no_module_is_too_long():
 
 # ---- do the checks find what they look for? ----
 
+LISTS = "\n\n".join("    " + "  ".join(names) for names in (PACKAGES, *ROOMS.values()))
 SOUND = {f"lib/{name}/__init__.py": '"""A package."""' for name in PACKAGES} | {
+    "CONTRIBUTING.md": LISTS,
     "lib/core/compiled.py": "import numba\n",
     "lib/given/a.py": "import numpy\nfrom lib.core import compiled_by\n",
     "lib/core/compiled_by.py": "def f():\n    import cv2\n",
@@ -297,6 +309,7 @@ CHECKS = {
     test_a_package_imports_itself_and_those_before_it: {"lib/core/x.py": "def f():\n    from lib.given import a\n"},
     test_every_room_is_in_the_list: {"lib/analysis/x.py": '"""A module that stands in no room."""'},
     test_a_room_imports_itself_and_those_before_it: {"lib/analysis/seen/z.py": "from lib.analysis.fit import x\n"},
+    test_contributing_lists_packages_and_rooms: {"CONTRIBUTING.md": LISTS.replace("  export", "")},
     test_lib_knows_neither_stages_nor_tests: {"lib/core/x.py": "import tests.helpers\n"},
     test_there_are_no_circles: {"lib/core/x.py": "from lib.core import y\n", "lib/core/y.py": "import lib.core.x\n"},
     test_no_module_takes_anothers_private_name: {"stages/x.py": "from lib.given import a as b\nb._c()\n"},

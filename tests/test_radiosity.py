@@ -41,7 +41,7 @@ def test_two_patches(how, store):
 @every_method
 @pytest.mark.parametrize("rho, expected", CUBES, ids=["grey", "six"])
 def test_cube_of_six_patches(how, rho, expected):
-    """docs/design.md, Answers in closed form: a cube of one patch per face, one of them E = 1."""
+    """docs/decisions/closed-forms.md: a cube of one patch per face, one of them E = 1."""
     s = radiosity.solve(np.eye(6)[0], rho, CUBE, tolerance=1e-12, **how)
     assert np.allclose(s.B, expected, rtol=0, atol=2e-8)
 

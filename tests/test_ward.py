@@ -28,7 +28,7 @@ def sphere(n, seed, upper=True):
 
 @pytest.mark.parametrize("alpha,form,table", ALBEDOS)
 def test_albedos_of_the_design(alpha, form, table):
-    """docs/design.md, Ward's forms, at 0, 45, 75 and 89 degrees, as printed.
+    """docs/decisions/ward-forms.md, at 0, 45, 75 and 89 degrees, as printed.
 
     One of them, 1 - 0.05^2 = .9975, lies between two.
     """

@@ -273,6 +273,7 @@ def _ranged(kind, what, low, high, open_low=False, open_high=False):
         opening, closing = "(" if open_low else "[", ")" if open_high else "]"
         raise argparse.ArgumentTypeError(f"{text} is outside {opening}{low}, {high}{closing}")
 
+    parsed.bounds = kind, low, high, open_low, open_high  # for the schema of scene.yaml
     return parsed
 
 

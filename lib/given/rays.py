@@ -1,7 +1,7 @@
 """Rays: Embree through open3d, low-discrepancy points, and which facets can cast a shadow at all.
 
 All geometry here is *local*: centred on the model and divided by its diagonal.  So float32 rays mean the same in a
-doll's house, a hangar, or a room a thousand kilometres from the origin (docs/design.md, local coordinates).  Form
+doll's house, a hangar, or a room a thousand kilometres from the origin (docs/decisions/local-coordinates.md).  Form
 factors do not change under that map; lengths and areas are multiplied back where they are reported.
 """
 

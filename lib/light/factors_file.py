@@ -72,7 +72,7 @@ class FormFactors:
         is lost that way inside a cell is a fixed share of what the step to the next coarser cell would lose:
         (h^2 / 12) / (h^2 / 4) = 1/3 where light varies linearly, 1 across a random edge. Row by row this is
         Richardson's extrapolation in the size of the patches. It is linear, and each parent keeps its light
-        (docs/design.md, Sub-cell correction).
+        (docs/decisions/sub-cell-correction.md).
 
         It must not make the light balance expansive: where it does, patches `beside_gaps` are left as they are.
         """
@@ -100,7 +100,7 @@ class FormFactors:
 
         Two patches as near as that exchange more than NEAR of their light, sqrt(F_ij F_ji) = F_ij sqrt(A_i / A_j).
         Light that differs between siblings returns from there all but undiminished, and the correction raises it at
-        each pass: the spectral radius comes to 1.2 (docs/design.md, Sub-cell correction).
+        each pass: the spectral radius comes to 1.2 (docs/decisions/sub-cell-correction.md).
         """
         F = self.rows.matrix().tocoo()
         i, j = F.coords

@@ -5,7 +5,7 @@ low-discrepancy set. So a row's sum is 1 in a closed scene before any normalisat
 compensated in its neighbour. Lamps are small and bright: lamps.py treats them apart.
 
 A ray that starts inside a solid is dropped, and the row is divided by the rays that remain: a wall behind a cabinet is
-not darkened by the inside of the cabinet (docs/design.md, Patches inside solids).
+not darkened by the inside of the cabinet (docs/decisions/solids.md).
 """
 
 from __future__ import annotations

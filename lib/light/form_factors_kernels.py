@@ -59,7 +59,7 @@ def point_rays(first, last, sets: PointSets, points, shift, other, surface: Surf
     """Rays of the sets first..last-1, (n, 6) float32.
 
     points : (..., 4);  shift, other : (K, 4) of the first and of the second half of a set's rays, which are scrambled
-    independently so that their errors are independent, too (docs/design.md, Instruments)
+    independently so that their errors are independent, too (docs/decisions/instruments.md)
     """
     ray_start, start, axes, normal = sets.ray_start, sets.start, surface.axes, surface.normal
     base = ray_start[first]

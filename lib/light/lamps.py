@@ -184,7 +184,7 @@ def numbered(n, start=None):
 def patch_direct(surface: Surface, mesh: Mesh, lamps, n_lamps, *, n_points, n_samples=4, seed=0) -> np.ndarray:
     """Mean factor of each patch to each lamp, (N, n_lamps), over its points outside solids.
 
-    So a patch half under a cabinet has the light of its other half (docs/design.md, Patches inside solids).
+    So a patch half under a cabinet has the light of its other half (docs/decisions/solids.md).
     """
     shift = shifts(len(mesh), n_points, seed + 2000)
     p = patch_points(n_points, sobol(n_points), shift, mesh.pieces, surface.arrays)

@@ -9,7 +9,7 @@ the normal; i to the light, o to the eye. With h = i + o, not normalised, and it
     duer       f = exp(-e) / (4 pi ax ay cos_i cos_o)            gains energy there, without bound
 
 All three are reciprocal and have the same lobe e. What sets them apart does not depend on alpha or on the tangent. Only
-the bounded one has an albedo of at most one at every angle (docs/design.md, Ward's forms).
+the bounded one has an albedo of at most one at every angle (docs/decisions/ward-forms.md).
 
 The kernels take and return scalars, for other kernels to call; here are functions of whole arrays. Every result is
 finite for alpha from 1e-3 to 1 and any directions. Within HORIZON of the facet's plane a direction counts as below it,

@@ -16,6 +16,7 @@ from lib.given.units import METRES
 from lib.planning.near_misses import alike
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
+LENS = re.compile(r"LENSMODEL_[A-Z0-9]+(_[A-Za-z0-9_.=-]+)?")
 AUGMENTED = re.compile(r"augmented\.[A-Za-z0-9_-]+\.(png|exr|mp4)")  # goals that an entry of `augment` makes
 LATER = ("sky", "materials", "colorchecker")  # keys of data/SCENE.md that are not built yet
 KEYS = (
@@ -99,7 +100,7 @@ def board(value):
 
 
 def lens(value):
-    if not (isinstance(value, str) and re.fullmatch(r"LENSMODEL_[A-Z0-9]+(_[A-Za-z0-9_.=-]+)?", value)):
+    if not (isinstance(value, str) and LENS.fullmatch(value)):
         yield "lens", value, "is not a name of a mrcal lens model, LENSMODEL_..."
 
 

@@ -1,7 +1,7 @@
 """What was found of the materials against what is true. Used by the comparison alone.
 
 A residual is not an error: a re-rendering may agree with the photograph to 0.5 % while its reflectances are 17 % off
-(docs/design.md, gamma and rho share a valley). So both are listed. The names of errors are stable: the bounds in
+(docs/decisions/gamma-valley.md). So both are listed. The names of errors are stable: the bounds in
 tests/expected/<scene>.csv refer to them.
 
     reflectance.mean_relative     mean |rho / rho* - 1| over channels of the counted groups

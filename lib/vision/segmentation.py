@@ -9,7 +9,7 @@ energy is NP-hard.  What we do, and why:
 1. A start: on one row, or one column, equation 2.1 is solved exactly by dynamic programming.  Rows and columns
    alternate and are drawn together by ADMM (Storath and Weinmann, SIAM J. Imaging Sci. 2014), until they nearly agree.
    Frontiers then lie where the whole picture wants them.  Merging from pixels alone ends 4 to 10 % higher, and no
-   polish makes up for it (docs/design.md, Segmentation by rows and columns).
+   polish makes up for it (docs/decisions/segmentation.md).
 2. Neighbouring regions merge, the pair first for which the smallest lambda is enough (Koepfler, Lopez and Morel,
    SIAM J. Numer. Anal. 1994).
 3. Pixels on frontiers move to a neighbour's region where that lowers E, means kept exact.  Then whole rows and columns
@@ -112,7 +112,7 @@ def auto_lambda(*pictures) -> float:
 
     Texture that fills the picture stays one region too. Shading does not: its levels are cut, and joined again by what
     lies beside their borders (surfaces.py). A larger lambda leaves less to join, but draws planes together that meet
-    in a faint edge, and nothing takes them apart again (docs/design.md, Surfaces).
+    in a faint edge, and nothing takes them apart again (docs/decisions/surfaces.md).
 
     A pixel alone saves |Z - mean|^2 = sigma^2 chi^2_C and costs 4 lambda. Among N pixels chi^2_C stays below
     C + 2 sqrt(C t) + 2 t, t = ln N + 3 (Laurent and Massart 2000). Larger shapes are more numerous, about 2.64^p of

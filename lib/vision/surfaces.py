@@ -8,7 +8,7 @@ average: a border lies where the noise happens to step, so some of its windows p
 
 Borders lie where the noise steps most, and the more so the more of it neighbours share, as JPEG's do. So steps of a
 JPEG are measured on a grid that knows nothing of the picture too: what those spread is noise, and a small step counts
-only far above it. (In pictures without JPEG that joins walls that meet in a faint edge: docs/design.md, JPEG.)
+only far above it. (In pictures without JPEG that joins walls that meet in a faint edge: docs/decisions/jpeg.md.)
 
 A region that spans two planes draws them together. At the lambda of noise alone (segmentation.auto_lambda) there are
 fewest of those, and merging takes away what it cuts too much: tests/bench, surfaces.

@@ -1,4 +1,4 @@
-"""Answers known in closed form, or from other programs, for tests and `make verify` (docs/design.md has the list)."""
+"""Answers known in closed form or from other programs, for tests and `make verify` (docs/decisions/closed-forms.md)."""
 
 import csv
 from pathlib import Path

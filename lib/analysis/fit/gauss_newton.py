@@ -1,4 +1,4 @@
-"""Reflectances, lamps and gamma together, by Gauss-Newton (docs/design.md, gamma and rho share a valley)."""
+"""Reflectances, lamps and gamma together, by Gauss-Newton (docs/decisions/gamma-valley.md)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def gauss_newton(
 
     The sampling noise of the tiles' own light is noise in the regressors, which biases least squares, gamma worst of
     all. The two halves of each tile's rays err independently, so the Jacobian of one half against the residual of the
-    other has no such bias (docs/design.md, instruments).
+    other has no such bias (docs/decisions/instruments.md).
 
     gamma : where an unknown one begins, else at the problem's
     start : Unknowns to begin with instead of eq. 4.3, as specular problems must; bends begin at 0

@@ -18,8 +18,8 @@ def paper(problem: Problem, *, gamma=2.2, damped=False, exponent=1.0, threshold=
     """Section 4.5 as printed: eq. 4.3; eq. 4.4-4.6 to the threshold; gamma on eq. 4.1; repeated.
 
     damped : the correction's common factor m is damped, rho_i *= (q_i / m) m ** (1 - mean rho), on ratios of
-        radiosities and symmetrised on |ln epsilon|; the printed form diverges in bright rooms (docs/design.md, the
-        printed update diverges)
+        radiosities and symmetrised on |ln epsilon|; the printed form diverges in bright rooms
+        (docs/decisions/printed-update.md)
     most : corrections of the reflectances at one gamma
     exponent : power on the ratio of pixel means; 1 as in eq. 4.4, gamma for the ratio of radiosities of the line below
         it

@@ -16,7 +16,7 @@ from lib.light.chains import Finish
 from lib.light.corrected import Corrected
 from lib.light.specular import ChainRows
 
-MISSING = 1 / 3  # of what a finer look at light changed may still be missing (docs/design.md, sub-cell correction)
+MISSING = 1 / 3  # of what a finer look at light changed may still be missing (docs/decisions/sub-cell-correction.md)
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,7 +65,7 @@ class TilePixels:
     def linear(self, transfer: Transfer):
         """Linear mean of each tile, (T, C), and its derivatives by the transfer function's parameters, (T, C, P).
 
-        It is mean(T^-1(I)), never T^-1(mean(I)): docs/design.md, Jensen. The derivatives are of the camera's light.
+        It is mean(T^-1(I)), never T^-1(mean(I)): docs/decisions/averaging.md. Derivatives are of the camera's light.
         """
         bare = transfer.bare
         if self._medians is not None and transfer.kind != "linear":

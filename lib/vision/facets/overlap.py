@@ -1,7 +1,7 @@
 """§2.3 as printed: the plane that mirrors the left region exactly on the right one, and conversely.
 
 The overlap of two regions of whole pixels is maximised in the plane's three parameters. It is kept to compare with:
-the borders' places to a part of a pixel say more (docs/design.md, Overlap).
+the borders' places to a part of a pixel say more (docs/decisions/overlap.md).
 """
 
 from dataclasses import replace

@@ -4,7 +4,7 @@
 
 A facet is a plane m . x = 1 in the left camera's frame (m = n / d), three unknowns. In rectified pixels
 (lib/vision/matching.py) its disparity is f_px baseline m . x_rect = a u + b v + c. Whatever is measured, a border or a
-texture, says what the disparity is at a place, and that is *linear* in m (docs/design.md, Stereo). So one weighted
+texture, says what the disparity is at a place, and that is *linear* in m (docs/decisions/stereo.md). So one weighted
 least-squares system per facet collects
 
     contours      where the region's border lies, to a part of a pixel, in both pictures, along its normal

@@ -157,7 +157,7 @@ def unchecked(x: Measured, sigma_side) -> np.ndarray:
 
     A few sides in a hundred are off by many times the pair's sigma: a strip too thin to see, a shadow's edge. Where
     other sides contradict such a one, its pull shows it (`held_by_sides`). Where none could, its variance must hold
-    the chance of it: TAIL times as much, by its share in what is known (docs/design.md, Surfaces).
+    the chance of it: TAIL times as much, by its share in what is known (docs/decisions/facet-sigma.md).
     """
     if len(x.rows) == 0:
         return np.zeros((3, 3))

@@ -8,7 +8,7 @@ The index buffer says which edges of the model the camera sees. Across each piec
 one of them, or none, is that edge. The motions that put most pieces on peaks are found by cause: the camera, its
 principal point, single objects. A cause is taken if it wins by 10 nats on edges that it was not fitted to, and the
 model is drawn anew until nothing moves. Last, edges are placed to a hundredth of a pixel, and the covariance is that of
-the scatter from edge to edge (docs/design.md, Registration).
+the scatter from edge to edge (docs/decisions/registration.md).
 """
 
 from dataclasses import dataclass, field, replace
