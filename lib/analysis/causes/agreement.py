@@ -23,6 +23,7 @@ from lib.given import jpeg
 from lib.given.materials import Why
 from lib.given.transfer import Transfer
 from lib.given.transfer_kinds import OF_PICTURE
+from lib.given.white_level import TWELVE_BITS
 
 FITS = 1.2  # error that neighbouring tiles have in common, in what noise explains: exact scenes have .2 to .45, a pose
 # 2 px off has 1.3 to 2.6, a lamp 12 cm off 4 to 8
@@ -31,7 +32,6 @@ OFF = 0.02  # relative difference of a lamp from what is told that is worth a wo
 SURE = 3  # standard deviations of the same, where they are known
 COLOURED = 0.5  # of how far it is off in the mean, by which its channels differ: another colour, not power alone
 SETTLES = 0.3  # of the tiles' typical residual: what leaves no more is all that is wrong
-TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
 TOLD_TO = 0.1  # standard deviation of a gamma that is told, before anything is seen
 CLEARLY = 2.0  # times what is enough, where mirrors or lobes leave an error: right gammas were beaten by 1.65 of it
 ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which nothing found is believed
