@@ -57,7 +57,7 @@ class Places:
         found = self.registration
         if found is None:
             return Found()
-        loose = [Loose(name, covariance.tolist()) for name, covariance in found.loose.items()]
+        loose = [Loose(name, tuple(map(tuple, C.tolist()))) for name, C in found.loose.items()]
         px = (found.before_px, found.after_px)
         shares = (float(found.seen.found), float(found.seen.chance))
         return Found(True, self.is_lost, self.causes, self.why, loose, *px, found.n_edges, *shares)
