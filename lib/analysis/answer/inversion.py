@@ -2,8 +2,8 @@
 
     answer = solve(task, report)
 
-What explains least comes first, and what is not needed is not computed. Where camera or model should have been others
-the answer says so (`refined`), and is good for nothing else: all is to be made again from them.
+What explains least comes first, and what is not needed is not computed. Where the model should have been another
+the answer says so (`refined`), and is good for nothing else: all is to be made again from it.
 """
 
 from __future__ import annotations
