@@ -5,6 +5,7 @@
           --findings check.json --picture check.png --report check.report.json
 
 reads   model, camera, photograph
+        edges           what the photograph's edges say of them
         lamps           groups that emit;  up: which axis of the model is up
 writes  findings        status: good, or doubtful; findings: about, text, doubt
         picture         the edges of the model over the photograph: the best check of a pose
@@ -18,7 +19,7 @@ from lib.core import stage
 
 
 def options():
-    parser = stage.parser(__doc__, reads="model camera photograph", writes="findings picture")
+    parser = stage.parser(__doc__, reads="model camera photograph", may_read="edges", writes="findings picture")
     parser.add_argument("--lamps", type=stage.json_option, default=[], help="groups that emit")
     parser.add_argument("--up", type=stage.json_option, default='"z"', help="x, y, z, -x, -y or -z")
     return parser
@@ -31,12 +32,13 @@ def main(opt):
         with report.excluded("imports"):
             from lib.buffers import edges, first_look, index_buffer, model_checks, opengl
             from lib.core import artefact, packages
-            from lib.given import image
+            from lib.given import edges_file, image
             from lib.given.view import View
             from lib.planning import compiling
 
         with report.timing("read"):
             view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph)
+            of_edges = first_look.of_edges(edges_file.read(opt.edges)) if opt.edges else []
         with report.timing("draw"):
             try:
                 index = index_buffer.draw(view.model, view.camera)
@@ -55,6 +57,7 @@ def main(opt):
             )
             if more := compiling.of_photometry():
                 found[-1] = found[-1]._replace(text=f"{found[-1].text}, {more}")  # the cost
+            found += of_edges
             lines = (*view.model.warnings, *model_checks.findings(view.model, view.camera, index.facet))
             found += [first_look.Finding("model", line, False) for line in view.model.notes]
             found += [first_look.Finding("model", line, not isinstance(line, Note)) for line in lines]

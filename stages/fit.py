@@ -9,12 +9,13 @@ reads   gather        the light of each tile of trusted pixels
         lamps         emittance per channel, or "unknown"; reference: known reflectances
         audit         the light of all pixels: whether a group is diffuse
         model, camera, photograph, facet: read only if one is not
+        edges         what the photograph's edges say of camera and objects: how surely they stand, and what to say
 writes  materials     per group: its kind, rho_d, rho_s, alpha, tangent with sigma; lamps; transfer function;
                       beside it textures/ if a group has one
         specular      how light goes past mirrors and glossy surfaces, only if there are any
         mirror        what the pixels of mirrors show, only if there is one
-        camera-out, model-out, causes-out: the camera, the model and why, only if the photograph puts one elsewhere;
-                      all is to be made again from them then, and the materials are rough
+        model-out, causes-out: the model and why, only if its light puts a lamp elsewhere; all is to be made again from
+                      it then, and the materials are rough
 """
 
 import os
@@ -29,11 +30,11 @@ def options():
     parser = stage.parser(
         __doc__,
         reads="gather formfactors",
-        may_read="audit model camera photograph facet curve",
+        may_read="audit model camera photograph facet edges curve",
         may_lack="refined_causes",
         refined="camera model",
         writes="materials",
-        may_write="specular mirror camera_out model_out causes_out",
+        may_write="specular mirror model_out causes_out",
     )
     parser.add_argument("--lamps", type=stage.json_option, required=True)
     parser.add_argument("--lobes", type=stage.json_option, default={}, help="of lamps: {aim, exponent} or unknown")
@@ -103,7 +104,7 @@ def main(opt):
         report.error("image.rmse", described.image.rmse, unit="display", against="the photograph's tiles")
         report.error("balance.residual", result.residual, unit="1", against="eq. 3.2")
         if answer.refined is not None:
-            answer.refined.write(opt.camera_out, opt.model_out, opt.causes_out)
+            answer.refined.write(opt.model_out, opt.causes_out)
         materials.write(opt.materials, described)
 
 

@@ -127,6 +127,26 @@ def test_light_of_another_scene_is_refused(folder, what, tmp_path):
     files |= {"camera": "camera.cameramodel", "photograph": "left.png"}
     words = {name: folder / file for name, file in files.items()} | {"gather": tmp_path / "gather.npz"}
     words |= {"lamps": json.dumps({"lamp": [1]}), "materials": tmp_path / "materials.json"}
-    options = small_scenes.fit_stage().options()
     with pytest.raises(BadInput, match=rf"gather.npz: {key}: {message}" if message else "gather.npz: "):
-        Task.read(options.parse_args([str(w) for k, v in words.items() for w in (f"--{k}", v)])).view()
+        task_of(words).view()
+
+
+def task_of(words):
+    """What stages/fit.py reads of its command line. words : {option: value}"""
+    options = small_scenes.fit_stage().options()
+    return Task.read(options.parse_args([str(w) for name, value in words.items() for w in (f"--{name}", value)]))
+
+
+@pytest.mark.parametrize("where", ["loose", "causes"])
+def test_edges_of_another_scene_are_refused(folder, where, tmp_path):
+    """Objects that the model has not: of what stays, or of what was moved."""
+    sofa = {"object": "sofa", "covariance": np.eye(6).tolist()} if where == "loose" else {"subject": "sofa"}
+    (tmp_path / "edges.json").write_text(
+        json.dumps({"given": {where: [sofa]}, "refined": None if where == "loose" else {}})
+    )
+    files = {"formfactors": "formfactors.npz", "audit": "audit.npz", "model": "model.obj", "facet": "facet.png"}
+    files |= {"camera": "camera.cameramodel", "photograph": "left.png", "gather": "gather.npz"}
+    words = {name: folder / file for name, file in files.items()} | {"edges": tmp_path / "edges.json"}
+    task = task_of(words | {"lamps": json.dumps({"lamp": [1]}), "materials": tmp_path / "materials.json"})
+    with pytest.raises(BadInput, match="edges.json: object: 'sofa' is none of"):
+        task.view()

@@ -56,9 +56,9 @@ def test_later_stages_read_the_posed_model(folder, text):
         (folder / "objects" / "chair.obj").write_text(OBJ)
         text = ""
     placed = plan(folder, LAMPS + text)
-    assert placed.planned[:2] == ["place", "index"]
+    assert placed.planned[:2] == ["place", "edges"]
     assert argv(placed, "place")["--model"].endswith("attic/model.obj")
-    for name in ("index", "formfactors", "gather", "fit", "coverage", "render", "report"):
+    for name in ("edges", "index", "formfactors", "gather", "fit", "coverage", "render", "report"):
         assert argv(placed, name)["--model"] == str(folder.parent / "build/attic/model.posed.glb"), name
     assert argv(placed, "report")["--pose"].endswith("attic/pose.json")
 

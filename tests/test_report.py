@@ -352,3 +352,6 @@ def test_a_stage_that_ran_twice_took_the_time_of_both(tmp_path):
     assert report.apart["imports"] == (1.0, 0.5) and report.waited_s == 4.5
     (tmp_path / "fit.report.json").write_text(json.dumps(content | {"arguments": {"refined_model": None}}))
     assert stage_reports.read(tmp_path / "fit.report.json").cpu_s == 3.0  # taken over: it is the first run's own
+    told = {"refined_model": str(tmp_path / "draft/refined.glb")}  # by the edges, before the first run
+    (tmp_path / "fit.report.json").write_text(json.dumps(content | {"arguments": told}))
+    assert stage_reports.read(tmp_path / "fit.report.json").cpu_s == 3.0

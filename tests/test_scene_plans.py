@@ -54,7 +54,7 @@ def test_what_is_left_out_and_why(folder):
     (folder / "scene.yaml").write_text("lamps: {lamp: [1, 1, 1]}")
     assert (
         explain(plan(folder))
-        == """attic: index -> formfactors -> gather -> fit -> coverage -> render -> compare -> report
+        == """attic: edges -> index -> formfactors -> gather -> fit -> coverage -> render -> compare -> report
   without units: no goal needs it
   without calibrate: no goal needs it
   without undistort: no goal needs it
@@ -68,8 +68,7 @@ def test_what_is_left_out_and_why(folder):
   without radiosity: no goal needs it
   without mirror buffers, lobes and textures: fit and render make them only where a group's error, or `surfaces`, \
 demands it; never for groups named diffuse
-  without a second run of index, formfactors, gather, fit: only where the photograph puts the camera, an object or a \
-lamp elsewhere"""
+  without a second run of edges, index, formfactors, gather, fit: only where its light puts a lamp elsewhere"""
     )
 
 
@@ -85,7 +84,7 @@ def test_a_model_in_millimetres_is_read_in_metres_by_all_others(folder):
 
 SEE = ["segment", "surfaces", "match", "reconstruct", "recognise"]
 BENT = ["undistort", "undistort_right"]
-FIT = ["index", "formfactors", "gather", "fit", "compare"]
+FIT = ["edges", "index", "formfactors", "gather", "fit", "compare"]
 
 
 def cameras(folder, *names, lens="LENSMODEL_PINHOLE", apart=0.1):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lib.given import jpeg
+from lib.given.edges_file import Edges
 from lib.planning import progress
 
 RAYS = 400  # from the camera all around
@@ -214,6 +215,22 @@ def of_photograph(photograph, turned, lamp):
     if turned != 1:
         text = "EXIF says that the camera was turned: the pixels of camera and picks are those of the turned picture"
         yield Finding("photograph", text, True)
+
+
+def of_edges(edges: Edges):
+    """Findings of what the photograph's edges say of camera and objects, none where they were not looked at."""
+    given = edges.given
+    if edges.status == "good":
+        yield Finding(
+            "edges", f"{given.shown:.0%} of the model's are there, {given.before_px:.2f} px off in the median"
+        )
+    for why in given.why:
+        if edges.status == "refined":
+            yield Finding("edges", f"{why.text}: it is put right")
+        elif edges.status == "lost":
+            yield Finding("edges", why.text, True)
+        else:
+            yield Finding("edges", f"{why.text}: put it right, or let `explain` in scene.yaml name {why.cause}", True)
 
 
 def cost(shape) -> Finding:

@@ -19,6 +19,7 @@ FEWEST, SHARE = 24, 2e-5  # samples that share the largest value: so many, and t
 PEAK, SURE_PEAK = 8.0, 2.0  # times as many as have one of the values just below it; where its bits are known
 BELOW = 64  # values below it that are looked at
 DEPTHS = (8, 9, 10, 11, 12, 13, 14, 15)  # bits of a sensor, or of a picture, that is stored in 16
+TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
 FULL = 0.98  # of the range: white of 16 bits is above it, whatever is clipped there
 
 WAY_OUT = "scale it to the full range with your RAW developer"
@@ -29,6 +30,11 @@ class White(NamedTuple):
 
     level: int
     doubts: tuple = ()
+
+
+def is_twelve_bits(photograph) -> bool:
+    """No value of an image.Photograph is beyond 12 bits of 16: it must be meant for another range."""
+    return not photograph.linear and photograph.values.max(initial=0) <= TWELVE_BITS + 1e-9
 
 
 def of(stored, told=None) -> White:

@@ -30,7 +30,7 @@ def command(plan, stage, python) -> Command:
         fact = plan.scene.entry(stage.entry) if key == "entry" else plan.scene.fact(key)
         if fact is not None:
             argv += [option_of(option), fact if key == "scene" else artefact.dumps_json(fact)]
-    refines = {option: plan.build / file for option, file in stage.refines.items()} if plan.is_draft else {}
+    refines = {option: plan.refines_in(stage) / file for option, file in stage.refines.items()} if plan.is_draft else {}
     written = {option: plan.destination(stage, file) for option, file in stage.written.items()} | refines
     for option, path in written.items():
         argv += [option_of(option), str(path)]
@@ -58,8 +58,11 @@ def _reading(plan, stage, file):
             return [], []
         return [os.path.join(folder, "")], sorted(p for p in folder.rglob("*") if p.is_file())
     path = plan.find(file)
-    if not path:
+    own = file in stage.refines.values()  # of the first of its two runs, which the second waits for
+    if not path or own and plan.is_draft:
         return [], []
+    if own:
+        return [str(path)], []
     materials = sorted(path.parent.glob("*.mtl")) if path.suffix == ".obj" else []
     waits = plan.certain(file)
     return [str(path)], [*([waits] if waits else []), *materials]

@@ -19,6 +19,7 @@ PICKED = ("pose.csv", "pose-lines.csv")  # where the model was picked in the lef
 FSPY = ("left.fspy", "left.fspy.json")  # a camera of fSpy's, of the left photograph
 PINHOLE = "LENSMODEL_PINHOLE"
 PHOTOGRAPH = "left.png|jpg|tif|exr"
+NO_FILE = "-"  # no scene has one of this name
 EXPORTS = "exports/"  # the folder of all exports, one in it for each kind
 
 

@@ -28,7 +28,7 @@ from lib.planning.rules import NAME, show
 LABELS = ("group.png", "object.png", "facet.png", "mirror.png")  # of the photograph's size
 RESULTS = (
     *("formfactors.npz", "gather.npz", "audit.npz", "coverage.npz", "specular.npz"),
-    *("materials.json", "pose.json", "facets.json", "legend.json", "rendered.json"),
+    *("materials.json", "pose.json", "facets.json", "legend.json", "rendered.json", "edges.json"),
 )  # read in earnest by the stage that needs them, or by the comparison; here, that they can be read at all
 
 

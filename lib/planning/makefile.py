@@ -213,7 +213,9 @@ def _rule(plan, stage, python, root, commands):
     folder = plan.folder(stage)
     targets = [folder / file for file in stage.outputs if not scene.given(file)]
     stale = [folder / file for file in stage.may_write.values() if not scene.given(file)]
-    stale += [build / file for file in stage.refines.values()] if plan.is_draft else []
+    if plan.is_draft and stage.refines:
+        of_all = [file for one in plan.refiners for file in one.refines.values()]
+        stale += [plan.refines_in(stage) / file for file in dict.fromkeys(of_all)]
     scratch = build / "scratch" / stage.name if any(scene.given(file) for file in stage.written.values()) else None
     recipe = [f"\t@mkdir -p -- {_shell([folder])}"] if plan.is_draft else []
     if stale:
@@ -227,7 +229,7 @@ def _rule(plan, stage, python, root, commands):
 
 
 def _of_draft(plan, stage):
-    """What the second run waits for: what the first has written, and whether camera or model were refined."""
+    """What the second run waits for: what the first has written, and whether its last stage refined the model."""
     draft = plan.draft
     waits = [draft.folder(stage) / file for file in stage.outputs]
     if plan.refiner.name in plan.planned:
@@ -236,15 +238,16 @@ def _of_draft(plan, stage):
 
 
 def _again(plan, stage, rule):
-    """The recipe of a second run: the files of the first are good where neither camera nor model was refined."""
-    refined = " || ".join(f"[ -e {_shell([plan.build / file])} ]" for file in plan.refiner.refines.values())
+    """The recipe of a second run: the files of the first are good where its last stage refined nothing."""
+    refined = " || ".join(f"[ -e {_shell([plan.build / file])} ]" for file in plan.told_again)
     files = [*stage.written.values(), stage.report, *stage.beside]
+    files += stage.refines.values() if stage is not plan.refiner else ()
     build, draft = plan.build, plan.draft.folder(stage)
     copy = draft / f".{stage.name}"
     run = " && \\\n\t".join(line.removeprefix("\t").removeprefix("@").removeprefix("$(Q)") for line in rule.recipe)
     lines = [
         f"@if {refined}; then",
-        f"echo {_shell([f'{stage.name}: again, with the refined camera and model'])};",
+        f"echo {_shell([f'{stage.name}: again, with the refined model'])};",
         f"{run};",
         f"else rm -rf -- {_shell([copy])} && mkdir -p -- {_shell([copy])} && for file in {_shell(files)}; do",
         f'rm -rf -- {_shell([build])}/"$$file"; [ ! -e {_shell([draft])}/"$$file" ] ||',

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lib.core.stage import BadInput
 from lib.core.yaml_file import read_yaml
-from lib.planning.files import export_kind, here
+from lib.planning.files import NO_FILE, export_kind, here
 
 REPORTS = "*.report.json"  # of the planned stages above
 CHANGED = "augmented.*"  # what those of them write that make entries of scene.yaml: a picture each, or a sequence
@@ -49,7 +49,7 @@ class Stage:
     writes: dict = field(default_factory=dict)
     may_write: dict = field(default_factory=dict)  # written only where a scene has it
     beside: list = field(default_factory=list)  # folders that it may write beside them
-    refines: dict = field(default_factory=dict)  # camera and model as they should have been; what reads them is redone
+    refines: dict = field(default_factory=dict)  # camera and model as they should have been
     facts: dict = field(default_factory=dict)  # option -> key of scene.yaml
     params: dict = field(default_factory=dict)  # name -> default
     sweep: dict = field(default_factory=dict)
@@ -134,6 +134,7 @@ class Stage:
             else:
                 may_read = _without_right(may_read)
                 writes, may_write = _without_right(writes), _without_right(may_write)
+        reads = {option: file for option, file in reads.items() if file != NO_FILE}
         kinds = scene.exported or None  # None: asked for by name alone, which means all
         writes = {o: file for o, file in writes.items() if not kinds or export_kind(file) in (None, *kinds)}
         return replace(self, reads=reads, may_read=may_read, writes=writes, may_write=may_write)
@@ -153,10 +154,10 @@ def read_pipeline(path) -> dict[str, Stage]:
     for name, stage in stages.items():
         problems += [f"{path}: {problem}" for problem in _entry_problems(stage, entries[name])]
         for file in [*stage.written.values(), *stage.refines.values()]:
-            if file in writers:
-                problems.append(f"{path}: {name}.writes: {file} is written by {writers[file].name} too")
-            else:
-                writers[file] = stage
+            first = writers.setdefault(file, stage)
+            both_refine = file in first.refines.values() and file in stage.refines.values()
+            if first is not stage and not both_refine:
+                problems.append(f"{path}: {name}.writes: {file} is written by {first.name} too")
     problems += [f"{path}: {problem}" for problem in _reading_problems(stages, writers)]
     if problems:
         raise BadInput(*problems)

@@ -15,12 +15,13 @@ from lib.planning import gallery, next_steps
 
 # Seconds of a run on two cores, 640 x 480 px, without compiling; what grows with the photograph, and what does not
 TYPICAL = {
-    **{"index": (1, 1), "formfactors": (6, 0), "gather": (4, 1), "fit": (5, 1), "coverage": (1, 1), "render": (8, 5)},
+    **{"edges": (2, 0), "index": (1, 1), "formfactors": (6, 0), "gather": (4, 1), "fit": (4, 1), "coverage": (1, 1)},
+    **{"render": (8, 5)},
     **{"compare": (1, 0), "report": (3, 2), "calibrate": (20, 0), "segment": (2, 2), "surfaces": (1, 1)},
     **{"match": (1, 1), "reconstruct": (1, 2), "recognise": (1, 2), "orient": (4, 2), "undistort": (1, 0)},
 }
 ELSE = (2, 1)
-PHOTOMETRY = ("index", "formfactors", "gather", "fit", "coverage", "render", "compare", "report")
+PHOTOMETRY = ("edges", "index", "formfactors", "gather", "fit", "coverage", "render", "compare", "report")
 SIZE = 640 * 480
 
 

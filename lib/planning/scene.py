@@ -17,6 +17,7 @@ from lib.planning import augment, near_misses, rules
 from lib.planning.files import (
     FSPY,
     MODEL,
+    NO_FILE,
     OBJECTS,
     PHOTOGRAPH,
     PHOTOS,
@@ -39,7 +40,6 @@ from lib.planning.rules import KEYS, LATER, show
 
 IN_METRES = "model.metres.glb"
 POSED_MODEL = "model.posed.glb"
-NO_FILE = "-"  # no scene has one of this name
 PLACED = ("movable", "refine", OBJECTS)  # a scene that asks for one of these has a model with objects at found places
 TOLD = ("camera", *PICKED, *FSPY)  # how a person tells where `left` was taken from
 GOALS = ("materials.json", "rendered.png", "report.html")
@@ -104,6 +104,7 @@ class Scene:
             "<camera pose>": "pose.camera.json" if placed else "pose.json",
             **_recognised(self, placed),
             "<curve>": curve,
+            "<edges>": "edges.json" if self.may_explain else NO_FILE,
             **views(self, "left"),
             **views(self, "right"),
         }
@@ -125,6 +126,13 @@ class Scene:
     def exported(self) -> tuple:
         """Kinds of exports that are asked for, by `exports` or by a goal that one of them writes."""
         return tuple(dict.fromkeys([*self.exports, *filter(None, map(export_kind, self.goals))]))
+
+    @property
+    def may_explain(self) -> bool:
+        """Whether anything may be other than given: `explain: []` and the printed alternation know of nothing."""
+        fit = self.params.get("fit")
+        method = fit.get("method") if isinstance(fit, dict) else None
+        return self.explain != [] and method in (None, "gauss-newton")
 
     @property
     def is_told(self) -> bool:

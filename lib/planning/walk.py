@@ -30,22 +30,37 @@ class Plan:
     planned: list[str]  # names, in order
     goals: list[str]  # files
     passed_over: dict[str, str]  # stage -> its output that was needed but is given
-    again: tuple[str, ...] = ()  # stages that run on the given camera and model first, and again on refined ones
+    again: tuple[str, ...] = ()  # stages that run first in draft/, and again where the last one refines what they read
     is_draft: bool = False  # it tells of the first of these runs
 
     @property
     def draft(self) -> "Plan":
-        """What runs on the camera and the model as given."""
+        """What runs first."""
         return replace(self, is_draft=True)
 
     @property
+    def refiners(self) -> list[Stage]:
+        """The stages that may refine camera and model, in order: all read what the first writes. [] without any."""
+        return [stage for stage in map(self.stages.get, self.again) if stage.refines]
+
+    @property
     def refiner(self) -> Stage | None:
-        """The stage that may refine camera and model, None where nothing is refined."""
+        """The last of them, after which those above run again; None where nothing is refined."""
         return self.stages[self.again[-1]] if self.again else None
+
+    @property
+    def told_again(self) -> list[str]:
+        """The files that only the last of them writes: where one is there, those above run again."""
+        before = {file for stage in self.refiners[:-1] for file in stage.refines.values()}
+        return [file for file in self.refiner.refines.values() if file not in before]
 
     def folder(self, stage) -> Path:
         """Where a stage writes."""
         return self.build / "draft" if self.is_draft and stage.name in self.again else self.build
+
+    def refines_in(self, stage) -> Path:
+        """Where a stage writes a camera and a model: what the last one writes is of no draft."""
+        return self.build if stage is self.refiner else self.folder(stage)
 
     def before(self, stage) -> list[str]:
         """The planned stages above one."""
@@ -61,15 +76,16 @@ class Plan:
         return None
 
     def refined(self, file) -> bool:
-        """Whether the second of two runs may find the file, written by the first."""
-        return bool(self.again) and not self.is_draft and file in self.refiner.refines.values()
+        """Whether the file may be there, written by a stage that refines and has run."""
+        done = self.refiners[:-1] if self.is_draft else self.refiners
+        return any(file in stage.refines.values() for stage in done)
 
     def find(self, file) -> Path | None:
         """Where the reader of file looks for it: given, or made by a planned stage; else None."""
         if given := self.scene.given(file):
             return given
         if self.refined(file):
-            return self.build / file
+            return (self.build / "draft" if self.is_draft else self.build) / file
         made = self.writer(file)
         return self.folder(made[0]) / made[1] if made else None
 
@@ -82,8 +98,10 @@ class Plan:
         if made and made[1] not in made[0].outputs:
             return self.folder(made[0]) / made[0].report
         if self.refined(file) and not self.scene.given(file):
-            runs = self.refiner.name in self.planned  # else what lies there is taken, or nothing
-            return self.draft.folder(self.refiner) / self.refiner.report if runs else None
+            first = self.refiners[0]  # its second run waits for the others
+            runs = self.draft if first is self.refiner else self
+            # else what lies there is taken, or nothing
+            return runs.folder(first) / first.report if first.name in self.planned else None
         return self.find(file)
 
     def destination(self, stage, file) -> Path:
@@ -135,12 +153,13 @@ def walk(scene, stages, build, wishes=(None,)) -> Plan:
 
 def _again(scene, stages, planned) -> tuple[str, ...]:
     """The stages that run again where one of them refines camera or model, that one last; () where none may."""
-    refiner = next((stages[name] for name in stages if name in planned and stages[name].refines), None)
-    if refiner is None or scene.explain is not None and not set(scene.explain) & set(GEOMETRIC):
+    refiners = [stages[name] for name in stages if name in planned and stages[name].refines]
+    if not refiners or scene.explain is not None and not set(scene.explain) & set(GEOMETRIC):
         return ()
-    before = list(stages)[: list(stages).index(refiner.name)]
-    reads = lambda stage: set(stage.may_read.values()) & set(refiner.refines.values())
-    again = (*(name for name in before if name in planned and reads(stages[name])), refiner.name)
+    last = refiners[-1]
+    before = list(stages)[: list(stages).index(last.name)]
+    reads = lambda stage: set(stage.may_read.values()) & set(last.refines.values())
+    again = (*(name for name in before if name in planned and reads(stages[name])), last.name)
     if any(scene.given(file) for name in again for file in stages[name].files):
         return ()  # what is given stays, and would not be that of another camera
     return again
@@ -210,8 +229,9 @@ class _Walk:
 
     def optional_makers(self, file, reader):
         """The stages that make what reader may read, if they are worth it."""
-        if any(file in stage.refines.values() for stage in self.stages.values()):
-            makers = []  # it comes of itself, with the first of two runs
+        if refiners := [stage.name for stage in self.stages.values() if file in stage.refines.values()]:
+            order = list(self.stages)  # what those below it write comes of itself, with the first of two runs
+            makers = [name for name in refiners if order.index(name) < order.index(reader.name)]
         elif file in (REPORTS, CHANGED):
             makers = list(self.stages)[: list(self.stages).index(reader.name)]
         else:
@@ -286,10 +306,7 @@ def explain(plan) -> str:
             "error, or `surfaces`, demands it; never for groups named diffuse"
         )
     if plan.again:
-        lines.append(
-            f"  without a second run of {', '.join(plan.again)}: only where the photograph puts the camera, an object"
-            " or a lamp elsewhere"
-        )
+        lines.append(f"  without a second run of {', '.join(plan.again)}: only where its light puts a lamp elsewhere")
     return "\n".join(lines)
 
 

@@ -101,12 +101,13 @@ class StageReport:
 
 
 def read(path) -> StageReport:
-    """Of a stage that ran again with a refined camera or model: with the time of its first run, in draft/ beside it.
+    """Of a stage that ran again with a refined model: with the time of its first run, in draft/ beside it.
 
     BadInput names file, field and value.
     """
     report, first = of(artefact.read_json(path), path), Path(path).parent / "draft" / Path(path).name
-    again = any(value for name, value in report.arguments.items() if name.startswith("refined_"))
+    refined = [value for name, value in report.arguments.items() if name.startswith("refined_") and value]
+    again = any(Path(str(path)).parent.name != first.parent.name for path in refined)
     return _together(report, of(artefact.read_json(first), first)) if again and first.exists() else report
 
 

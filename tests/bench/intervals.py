@@ -220,13 +220,14 @@ def measured(seed, what):
         reference = {} if told else {"bottom": [paints["bottom"]]}
         model = ("--model", "model.obj")
         seen = (*model, "--camera", "camera.cameramodel", "--photograph", "left.png", "--facet", "facet.png")
+        stage("edges", folder, *seen[:6], "--lamps", '["lamp"]', "--edges", "edges.json")
         stage("formfactors", folder, *model, "--lamps", '["lamp"]', "--formfactors", "formfactors.npz")
         stage("index", folder, *seen, "--trusted", "trusted.png", "--method", "rays")
         light = ("--formfactors", "formfactors.npz", "--gather", "gather.npz", "--audit", "audit.npz")
         stage("gather", folder, *seen, "--trusted", "trusted.png", *light)
         facts = ("--lamps", json.dumps(lamps), "--reference", json.dumps(reference))
         out = ("--materials", "materials.json", "--specular", "specular.npz", "--mirror", "mirror.png")
-        stage("fit", folder, *seen, *light, *facts, *out)
+        stage("fit", folder, *seen, *light, "--edges", "edges.json", *facts, *out)
         found = json.loads((folder / "materials.json").read_text())
     claims, kinds = [], {}
     for group, got in found["groups"].items():

@@ -238,13 +238,13 @@ class Studio:
         return linear_picture(subject, fine=self.fine, **options)
 
     def write(self, photograph, folder=None):
-        """left.png or .exr, gather.npz and audit.npz of a photograph, as the stages before the fit write them.
+        """left.png or .exr, gather.npz, audit.npz and edges.json of a photograph, as the stages before the fit do.
 
         Returns the folder.
         """
-        from lib.analysis.seen import gather
+        from lib.analysis.seen import gather, places
         from lib.buffers import trust
-        from lib.given import image
+        from lib.given import edges_file, image
         from lib.given.view import View
 
         folder = folder or self.folder
@@ -261,6 +261,9 @@ class Studio:
             ("audit", gather.pure(photograph, facet), gather.AUDIT),
         ):
             gather.write(folder / f"{name}.npz", gather.gathered(view, s, self.factors, used, sampling))
+        given = {"camera": self.folder / "camera.cameramodel", "model": self.folder / "model.obj"}
+        seen = View.read(**given, photograph=folder / ("left.exr" if photograph.linear else "left.png"))
+        edges_file.write(folder / "edges.json", edges_file.Edges(places.by_edges(seen, list(self.lamps)).told))
         return folder
 
     def words(self, linear=False, lamps=None, transfer=None, reference=None, surfaces=None, **options):
@@ -275,6 +278,7 @@ class Studio:
             camera="camera.cameramodel",
             photograph="left.exr" if linear else "left.png",
             facet="facet.png",
+            edges="edges.json",
             materials="materials.json",
             report="fit.report.json",
         )

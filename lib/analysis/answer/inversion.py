@@ -2,8 +2,8 @@
 
     answer = solve(task, report)
 
-What explains least comes first, and what is not needed is not computed. Where camera or model should have been others
-the answer says so (`refined`), and is good for nothing else: all is to be made again from them.
+What explains least comes first, and what is not needed is not computed. Where the model should have been another
+the answer says so (`refined`), and is good for nothing else: all is to be made again from it.
 """
 
 from __future__ import annotations
@@ -46,19 +46,18 @@ def solve(task: Task, report: Report) -> Answer:
 
 
 def _solved(task: Task, report: Report) -> Answer:
-    """Geometry that edges tell, causes of the whole picture, what is wrong with the facts; then lamps and materials."""
+    """Whether edges were found, causes of the whole picture, what is wrong with the facts; then lamps and materials."""
     trace = lambda iteration, image_rmse, state: report.trace(
         iteration=iteration, image_rmse=image_rmse, gamma=state.gamma
     )
     options = {"trace": trace, **task.options}
-    edges = _edges(task) if task.can_look and task.causes != [] else None
+    edges = task.edges if task.can_look and task.causes != [] else None
     may_refine = task.may_refine and edges is not None
-    if may_refine and (edges.is_lost or edges.allowed(task.allowed)):
+    if may_refine and edges.is_lost:
         # whatever else the photograph might tell would only bend to this
         answer = answered(search.as_given(task.problem, gamma=task.gamma, **options))
-        answer.refined, answer.why = None if edges.is_lost else _by_edges(task, edges), edges.why
-        if answer.refined is not None or edges.is_lost and answer.result.in_doubt:
-            return answer
+        if answer.result.in_doubt:
+            return replace(answer, why=edges.why)
     scope, first = _scope(task), _begun(task, edges, trace)
     if task.around is not None and isinstance(first, Candidate) and glow.may_come_in(*task.lambertian, first):
         task = replace(task.around(), asked=task.asked)
@@ -214,27 +213,11 @@ def _summary(task, problem, judged):
     return {"threshold": task.threshold, "diffuse": excess, "rays": {}, "rounds": 0}
 
 
-def _edges(task):
-    """What the photograph's edges say of camera, objects and lamps."""
-    from lib.analysis.seen import places
-
-    return places.by_edges(task.view(), task.lamps)
-
-
 def _unsure(task, edges) -> tuple:
     """By what the lamps' light is unsure, since things stand no more surely than the edges tell."""
     from lib.analysis.answer import refine
 
-    loose = edges.registration.loose if edges.registration else {}
-    return tuple(refine.unsure(task.view(), task.factors, task.found, task.refined, loose))
-
-
-def _by_edges(task, edges):
-    """Camera and model as the photograph's edges have them; None where the model could not keep its numbers."""
-    from lib.analysis.answer import refine
-
-    refined = refine.by_edges(task.view(), edges)
-    return refined if refined.keeps_parts else None
+    return tuple(refine.unsure(task.view(), task.factors, task.found, task.refined, edges.covariances))
 
 
 def write_ladder(answer: Answer, folder, specular=None, mirror=None) -> dict:

@@ -1,8 +1,7 @@
-"""Whether the camera, an object or a lamp stands elsewhere than given: then all that rests on it is made again.
+"""Whether a lamp stands elsewhere than given: then all that rests on it is made again.
 
-The photograph's edges are asked first, whatever the light says: a thing that stands elsewhere may change nothing but
-its own brightness, which its reflectance takes. Where the edges agree with the given files and the light does not, a
-lamp that the photograph does not show may throw its light from elsewhere.
+The photograph's edges were asked before (stage `edges`). Where they agree with the given files and the light does not,
+a lamp that the photograph does not show may throw its light from elsewhere.
 """
 
 from __future__ import annotations
@@ -22,9 +21,7 @@ from lib.analysis.causes.table import causes_of
 from lib.analysis.fit.gauss_newton import fit
 from lib.analysis.seen.direct_light import DirectLight
 from lib.analysis.seen.gather import Gathered
-from lib.analysis.seen.places import TWIST, Places, object_of
-from lib.given import cameras
-from lib.given.cameras import Camera
+from lib.analysis.seen.places import TWIST, object_of
 from lib.given.materials import Cause, Causes, Rival, Why, write_causes
 from lib.given.model.glb_writer import keeps_parts, write_glb
 from lib.given.model.mesh import Model
@@ -38,41 +35,25 @@ MORE = 4  # times what one step promises, that a lamp's place may bring at most:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """camera, model : None where they are as given;  causes : [Cause] that moved them;  why : [Why], the same, said
+    """model : with the lamp elsewhere;  causes : [Cause] that moved it;  why : [Why], the same, said
 
-    nats : of held-out tiles, where it was their light that told
+    nats : of held-out tiles, by which their light told
     """
 
-    camera: Camera | None
-    model: Model | None
+    model: Model
     causes: list
     why: list
-    nats: float | None = None
+    nats: float
 
     @property
     def keeps_parts(self) -> bool:
         """The model's facets, groups and objects keep their numbers in a file."""
-        return self.model is None or keeps_parts(self.model)
+        return keeps_parts(self.model)
 
-    def write(self, camera, model, causes):
+    def write(self, model, causes):
         """The files, causes last."""
-        if self.camera is not None:
-            cameras.write_cameramodel(camera, self.camera)
-        if self.model is not None:
-            write_glb(model, self.model)
+        write_glb(model, self.model)
         write_causes(causes, Causes(self.causes))
-
-
-def by_edges(view: View, places: Places) -> Refinement:
-    """Camera and objects where the photograph's edges have them."""
-    found = places.registration
-    moved = found.pose is not None or found.centre_px is not None
-    return Refinement(
-        found.camera(view.camera) if moved else None,
-        found.model(view.model) if found.objects else None,
-        places.causes,
-        places.why,
-    )
 
 
 def by_light(
@@ -117,7 +98,7 @@ def by_light(
     far = 1000 * np.linalg.norm(offset)
     text = f"lamp {lamp!r} stands {far:.0f} mm from where the model has it, says its light by {nats:.0f} nats"
     why = Why("lamp_place", lamp, text, float(nats))
-    return Refinement(None, lamps.moved(lamp, offset), [cause], [why], base.evidence.nats + nats)
+    return Refinement(lamps.moved(lamp, offset), [cause], [why], base.evidence.nats + nats)
 
 
 def lamp_in_doubt(view: View, factors: FormFactors, found: Gathered, explained: Explained, sigma_m, above) -> bool:

@@ -13,9 +13,10 @@ from lib.analysis.fit.problem import Problem
 from lib.analysis.seen import gather
 from lib.analysis.seen.gather import Gathered
 from lib.core.stage import BadInput
-from lib.given import cameras, materials
+from lib.given import cameras, edges_file, materials
 from lib.given.cameras import Camera
 from lib.given.causes import GEOMETRIC
+from lib.given.edges_file import Edges, Found
 from lib.given.kinds import LOBES, MIRRORS
 from lib.given.transfer import Transfer
 from lib.given.view import View
@@ -34,7 +35,8 @@ class Task:
     lobes : {lamp: (4,)} that scene.yaml tells, which factors, found and audit know;  lobes_unknown : {lamp} to be found
     lambertian : (factors, found) that do not know them
     gamma : where it starts
-    may_refine : camera and model are as given, and others may be asked for;  refined : [Cause] that were, else
+    may_refine : camera and model are as given, and another model may be asked for;  refined : [Cause] that were, else
+    edges : what the photograph's edges say of camera and model; None where they were not asked
     options : of gauss_newton.gauss_newton
     around : makes the same with what lies outside an open model among its lamps; None where that is there, or the model
         is not known
@@ -61,6 +63,7 @@ class Task:
     may_refine: bool
     refined: list
     options: dict
+    edges: Found | None = None
     curve: Transfer | None = None
     around: Callable[[], Task] | None = None
     asked: list = field(default_factory=list)
@@ -84,14 +87,17 @@ class Task:
         _check_same(factors, opt.formfactors, light)
         if opt.lobes and not shown:
             raise BadInput("--lobes: without --audit, --camera, --model, --photograph and --facet")
-        view = functools.cache(lambda: _view(opt, factors, curve, light)) if shown else None
-        around = lambda: cls._of(opt, transfer, curve, view, *gather.with_outside(view, factors, found, audit))
-        task = cls._of(opt, transfer, curve, view, factors, found, audit)
+        edges = edges_file.read(opt.edges) if opt.edges else None
+        moved = materials.read_causes(opt.refined_causes) if opt.refined_causes else edges.taken if edges else []
+        view = functools.cache(lambda: _view(opt, factors, curve, light, edges)) if shown else None
+        told = (opt, transfer, curve, view, edges, moved)
+        around = lambda: cls._of(*told, *gather.with_outside(view, factors, found, audit))
+        task = cls._of(*told, factors, found, audit)
         return replace(task, around=around) if shown else task
 
     @classmethod
-    def _of(cls, opt, transfer, curve, view, factors, found, audit) -> Task:
-        """transfer : what all channels have in common of the one that is told"""
+    def _of(cls, opt, transfer, curve, view, edges, moved, factors, found, audit) -> Task:
+        """transfer : what all channels have in common of the one that is told;  moved : [Cause] of camera and model"""
         lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
         lambertian = factors, found
         if lobes:
@@ -114,9 +120,10 @@ class Task:
             gamma=opt.gamma,
             threshold=opt.threshold,
             lobe_rays=opt.lobe_rays,
-            may_refine=bool(opt.causes_out),
-            refined=materials.read_causes(opt.refined_causes) if opt.refined_causes else [],
+            may_refine=bool(opt.causes_out) and not moved,
+            refined=moved,
             options={"max_iterations": opt.max_iterations, "tolerance": opt.tolerance},
+            edges=edges and edges.now,
             curve=curve if curve and curve.channels else None,
         )
 
@@ -164,11 +171,11 @@ def _check_same(factors, formfactors, gathered):
             raise BadInput(f"{path}: tiles_direct: {n} lamps are not those of {formfactors}: {names}")
 
 
-def _view(opt, factors, curve, light):
+def _view(opt, factors, curve, light, edges: Edges | None):
     """The photograph with its camera and the model that the factors are of.
 
     curve : that scene.yaml tells, or None;  light : {path: Gathered or None}
-    BadInput: the light is that of other facets, or of pixels beyond the photograph.
+    BadInput: the light is that of other facets, or of pixels beyond the photograph; edges of other objects.
     """
     view = View.read(camera=opt.camera, model=opt.model, photograph=opt.photograph, facet=opt.facet)
     factors_file.check(factors, opt.formfactors, view.model, opt.model)
@@ -179,6 +186,9 @@ def _view(opt, factors, curve, light):
             _check_below(f"{path}: tiles_facet", tiles.facet, facets, f"facets of {opt.model}")
             _check_below(f"{path}: object", found.object, objects, f"objects of {opt.model}")
             _check_below(f"{path}: tiles_pixel", tiles.pixel, pixels, f"pixels of {opt.facet}")
+    named = [*edges.now.covariances, *(cause.subject for cause in edges.taken if cause.subject)] if edges else []
+    if strange := set(named) - {*view.model.objects, *view.model.groups}:
+        raise BadInput(f"{opt.edges}: object: {min(strange)!r} is none of {opt.model}")
     return view if curve is None else view.under_one_curve(curve)
 
 

@@ -18,6 +18,7 @@ from lib.core import arrays, artefact
 from lib.core.arrays import Flag, Real, Starts, Whole
 from lib.given.transfer import Transfer
 from lib.given.view import View
+from lib.given.white_level import TWELVE_BITS
 from lib.light import factors_file, form_factors, lamps, outside
 from lib.light import surface as surfaces
 from lib.light.cells import Mesh
@@ -26,7 +27,6 @@ from lib.light.form_factors import FormFactorRows
 from lib.light.surface import Surface, backproject, side_normals
 
 MOST_RAYS = 4096  # from one tile
-TWELVE_BITS = 4095 / 65535  # largest value of 12-bit data that stand in 16 bits
 
 
 @dataclass(frozen=True, eq=False)

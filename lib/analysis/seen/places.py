@@ -7,8 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from lib.buffers.opengl import NoGraphics
-from lib.given.cameras import matrix_from_rt
+from lib.given import cameras
+from lib.given.cameras import Camera, matrix_from_rt
+from lib.given.causes import GEOMETRIC
+from lib.given.edges_file import Found, Loose
 from lib.given.materials import Cause, Rival, Why
+from lib.given.model.glb_writer import keeps_parts, write_glb
+from lib.given.model.mesh import Model
 from lib.given.view import View
 from lib.vision.registration.mistakes import mistake
 from lib.vision.registration.register import Registration, register
@@ -31,10 +36,46 @@ class Places:
     why: list
     is_lost: bool = False
 
-    def allowed(self, causes) -> bool:
-        """All of it may be taken. causes : that may be, as scene.yaml has them"""
+    def refined(self, view: View, causes) -> Refined | None:
+        """Camera and model where the edges have them; None where nothing is off, or where not all of it may be taken.
+
+        causes : that may be, as scene.yaml has them; None: all
+        """
         leave = {"principal_point": "pose"}
-        return bool(self.causes) and all(leave.get(c.cause, c.cause) in causes for c in self.causes)
+        may = GEOMETRIC if causes is None else causes
+        if self.is_lost or not self.causes or any(leave.get(c.cause, c.cause) not in may for c in self.causes):
+            return None
+        found = self.registration
+        moved = found.pose is not None or found.centre_px is not None
+        camera = found.camera(view.camera) if moved else None
+        model = found.model(view.model) if found.objects else None
+        return Refined(camera, model) if model is None or keeps_parts(model) else None
+
+    @property
+    def told(self) -> Found:
+        """The same as edges.json has it."""
+        found = self.registration
+        if found is None:
+            return Found()
+        loose = [Loose(name, tuple(map(tuple, C.tolist()))) for name, C in found.loose.items()]
+        px = (found.before_px, found.after_px)
+        shares = (float(found.seen.found), float(found.seen.chance))
+        return Found(True, self.is_lost, self.causes, self.why, loose, *px, found.n_edges, *shares)
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """camera, model : None where they are as given"""
+
+    camera: Camera | None
+    model: Model | None
+
+    def write(self, camera, model):
+        """The files of what is not as given."""
+        if self.camera is not None:
+            cameras.write_cameramodel(camera, self.camera)
+        if self.model is not None:
+            write_glb(model, self.model)
 
 
 def by_edges(view: View, lamps) -> Places:

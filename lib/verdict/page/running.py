@@ -124,7 +124,9 @@ def _time_row(stage, report, labels, longest):
         peak_mb=round(report.peak_mb) if finite(report.peak_mb) else None,
         share=(report.cpu_s or 0) / longest,
         status=report.status or "–",
-        kind={"converged": "good", "unique": "good", "good": "good", "complete": "plain"}.get(report.status, "warn"),
+        kind={"converged": "good", "unique": "good", "good": "good", "complete": "plain", "refined": "plain"}.get(
+            report.status, "warn"
+        ),
     )
 
 
