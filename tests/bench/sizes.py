@@ -4,7 +4,7 @@
     $ python -m tests.bench.sizes --out /tmp/sizes --scenes poster --kinds exact --widths 320 640
 
 Needs Mitsuba (`make scenes` installs it) with `llvm_ad_rgb`, and its LLVM, to trace each scene once, as wide as it is
-wanted widest; that is kept in OUT/finest. `office` is 2560 px wide, what is more than diffuse 1280, for that is slow to
+wanted widest; that is kept in OUT/finest. A diffuse room is 2560 px wide, what is more than diffuse 1280, for that is slow to
 trace. Smaller pictures are area means of its light, so the path tracer's noise halves with the width as
 a sensor's does; NOISE is added to each by itself before it is rounded to 8 bits. What is wrong (lib/synthetic/
 deviations.py) is drawn once, 640 px wide, and the same at all sizes. Each run is made up to its materials by `make`.
@@ -31,7 +31,7 @@ NOISE = 0.004  # display
 COUNTED_PX = 1000
 TRACED = ("--linear", "--more", "0", "--variant", "llvm_ad_rgb")
 SCENES = {  # how many times wider each is traced, how, and what is wrong in another run
-    "office": (4, ("--gather", "--spp", "16", "--passes", "2", "--variant", "llvm_ad_rgb"), "missing_object"),
+    "room-601": (4, ("--gather", "--spp", "8", "--passes", "2", "--variant", "llvm_ad_rgb"), "missing_object"),
     "poster": (2, ("--spp", "4", "--passes", "16", *TRACED), "usemtl"),
     "office-mirror": (2, ("--spp", "4", "--passes", "8", *TRACED), "lamp"),
     "desk-glossy": (2, ("--spp", "4", "--passes", "8", *TRACED), "missing_object"),
