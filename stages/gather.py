@@ -28,7 +28,9 @@ def options():
         "--rays-per-tile", type=stage.whole(1), default=512, help="at least so many rays from each tile"
     )
     parser.add_argument("--rays-per-facet", type=stage.whole(1), default=32768, help="and so many from each facet")
-    parser.add_argument("--lamp-samples", type=stage.whole(1), default=4, help="shadow rays per pixel and lamp")
+    parser.add_argument(
+        "--lamp-samples", type=stage.whole(1), default=4, help="shadow rays per lamp in a pixel of 640 x 480"
+    )
     return parser
 
 

@@ -44,6 +44,7 @@ def options():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", required=True, help="name of the recipe")
     parser.add_argument("--out", required=True, type=Path, help="folder to write")
+    parser.add_argument("--finer", type=stage.whole(1), default=1, help="pixels to each side of one of the recipe's")
     parser.add_argument("--spp", type=int, default=32, help="samples per pixel and pass")
     parser.add_argument("--passes", type=int, default=12, help="independent passes (8 or more for a stated noise)")
     parser.add_argument("--target", type=float, default=0.0005, help="relative noise wanted of a group's mean")
@@ -68,7 +69,7 @@ def main(opt):
     from lib.synthetic import recipes, scene_files
 
     try:
-        recipe = recipes.make(opt.scene)
+        recipe = recipes.make(opt.scene).finer(opt.finer)
     except KeyError:
         names = ", ".join((*recipes.ALL_NAMES, *(f"{kind}-<seed>" for kind in recipes.RANDOM)))
         raise stage.BadInput(f"--scene: {opt.scene!r} is not one of {names}") from None

@@ -172,7 +172,7 @@ def test_ten_percent_noise_makes_no_wall_a_texture(room):
 
 def test_what_a_group_may_keep_asks_for_no_lobe():
     """Noise tells nothing of a lobe on tiles that a diffuse surface explains."""
-    off = lambda excess: Misfit(excess, excess, 0.0, 85, 20_000)
+    off = lambda excess: Misfit(excess, excess, 0.0, 85, 0.065)
     lobe = rungs.Trial("glossy", 0, off(0.0), off(0.0), np.ones(3), np.full(3, 0.01), np.full(2, 0.01), kept=0.006)
     assert lobe.explained == 0 and not lobe.is_at_border
     assert replace(lobe, diffuse=off(0.003)).explained == pytest.approx(0.25)
@@ -189,7 +189,7 @@ def test_which_groups_are_on_a_rung():
 def test_of_what_may_be_a_thing_no_texture_is_made(on_plain):
     """small-483: a crate that the model has not became a texture of the floor, which made a mirror of a table."""
     thing = Thing(3000, (135, 231), [0, 1], 0.65, alone=True, on_plain=on_plain)
-    misfit = Misfit(0.043, 0.043, 0.002, 91, 31_000)
+    misfit = Misfit(0.043, 0.043, 0.002, 91, 0.1)
     here = SimpleNamespace(misfits={0: misfit}, places={0: Place()}, finish="of others")
     step = ladder._Step(None, here, {}, {0}, 0.0125, [thing])
     step._is_off_inside = lambda g: True
@@ -599,7 +599,7 @@ def test_a_group_that_is_off_by_far_the_most_is_tried(most, tried):
     from lib.analysis.answer import own_materials
     from lib.analysis.fit.misfits import Misfit
 
-    judged = {g: Misfit(excess, excess, 0.001, 50, 9000) for g, excess in enumerate([most] + 12 * [0.01])}
+    judged = {g: Misfit(excess, excess, 0.001, 50, 0.03) for g, excess in enumerate([most] + 12 * [0.01])}
     audit = SimpleNamespace(flagged=lambda problem, judged: sorted(judged), given={})
     explained = SimpleNamespace(problem=None, result=SimpleNamespace(correlated=2.0))
     assert own_materials._is_wrong_everywhere(explained, audit, judged) != tried

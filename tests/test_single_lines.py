@@ -29,7 +29,7 @@ def test_each_facet_has_two_sides():
 
 
 def test_a_group_is_off_by_the_sum_of_its_pixels_squares():
-    assert Misfit(excess=0.1, rms=0.1, noise=0.0, tiles=9, pixels=300).energy == pytest.approx(3.0)
+    assert Misfit(excess=0.1, rms=0.1, noise=0.0, tiles=9, share=0.3).energy == pytest.approx(0.003)
 
 
 def test_a_grey_photograph_takes_grey_facts_alone():

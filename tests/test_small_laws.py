@@ -165,7 +165,7 @@ def test_a_furnace_is_solved_in_its_first_step(loss):
     ],
 )
 def test_a_group_that_stands_out_by_far_is_looked_at_more_closely(excess, keen):
-    found = {g: misfits.Misfit(excess=e, rms=e, noise=0.002, tiles=79, pixels=824) for g, e in enumerate(excess)}
+    found = {g: misfits.Misfit(excess=e, rms=e, noise=0.002, tiles=79, share=0.0027) for g, e in enumerate(excess)}
     assert misfits.keener(found, misfits.THRESHOLD) == keen
     assert misfits.keener(found, 0.003) is None  # told to be keener already
 
@@ -180,7 +180,7 @@ def test_a_group_that_stands_out_by_far_is_looked_at_more_closely(excess, keen):
     ],
 )
 def test_light_that_mirrors_throw_is_no_thing(before, after, thrown):
-    of = lambda values: {g: misfits.Misfit(e, e, 0.002, 79, 8000) for g, e in enumerate(values)}
+    of = lambda values: {g: misfits.Misfit(e, e, 0.002, 79, 0.026) for g, e in enumerate(values)}
     answer = SimpleNamespace(judged=of(before), climb=SimpleNamespace(misfits=of(after)))
     assert inversion._is_thrown(SimpleNamespace(behind=[0, 1]), answer) == thrown
 

@@ -58,6 +58,7 @@ def origin(recipe, opt, noise) -> str:
 def command(recipe, opt) -> str:
     """The command line that makes the scene again."""
     made = f"stages/synthesise.py --scene {opt.scene} --out data/{opt.scene} --spp {opt.spp} --passes {opt.passes}"
+    made += f" --finer {opt.finer}" if opt.finer > 1 else ""
     if not recipe.pair:
         made += " --gather" if opt.gather else f" --target {opt.target:g} --more {opt.more}"
     elif recipe.pair.board:

@@ -36,16 +36,19 @@ TINT = 0.015  # the same of colour alone
 LEVELS = 1, 2, 4  # of strangeness: the shadow at a thing's foot is soft, and less strange than the thing
 PLAIN = 0.05  # of a facet: less is strange besides a thing before it
 LARGE = 0.002  # part of the picture that a thing covers at least
-SHARP = 0.4  # of the step at a thing's outline that lies within two pixels
+SHARP = 0.4  # of the step at a thing's outline that lies within NEAR
 HALF, ALL_AROUND = 0.5, 0.95  # of the outline that is so sharp
-OUTLINE = 20  # pixels of it that must be seen
+# Lengths, in diagonals of the picture: a shadow's edge is as wide as its angle. A thing's is blurred by lens and
+# sensor, by BLUR_PX to either side: that is NEAR in a picture of 640 x 480, the smallest that tells the two apart.
+BLUR_PX = 2
+NEAR, FAR = 1 / 400, 3 / 400  # to either side of a line
+OUTLINE = 1 / 40  # of a thing, that must be seen
+BESIDE = 1 / 125  # lines so near to an edge of the model may be that edge
+LINE = 3 / 160  # of lines 2 NEAR wide that must hang together
 WHOLE = 0.6  # of a facet: a thing covers less
 SAMPLES = 16  # of each lamp, from a pixel
-NEAR, FAR = 2, 6  # pixels, to either side of a line
-CLEAR = 0.7  # of a step over twelve pixels that a line has within four, which no edge of the model explains
+CLEAR = 0.7  # of a step over 2 FAR that a line has within 2 NEAR, which no edge of the model explains
 NOISY = 4  # so many times what is usual on its facet, it must be
-LINE = 60  # pixels of such lines that must hang together
-BESIDE = 0.01  # of the picture's width: lines so near to an edge of the model may be that edge
 BY_SHADOW = 0.5  # of a line's step, from which the lamps explain it
 WHITE = 0.98  # reflectance that a thing without trusted pixels may have at most
 BY_FAR = 10  # times what a cause must bring
@@ -172,7 +175,7 @@ class _Picture:
         """[(pixels, (H, W) bool, (x, y))] of strange places that are large enough. level : how much stranger"""
         import cv2
 
-        mask, square = self._drawn(self._strange(level).astype(np.uint8), 0), np.ones((5, 5), np.uint8)
+        mask, square = self._drawn(self._strange(level).astype(np.uint8), 0), _square(self._px(NEAR))
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, square)  # edges of the model run through it
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, square)
         number, label, stats, middle = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -256,19 +259,23 @@ class _Picture:
 
         if facet is None:
             facet = np.bincount(self.owner[mine & (self.owner >= 0)]).argmax()
-        spot, small, wide = mine.astype(np.uint8), np.ones((3, 3), np.uint8), np.ones((9, 9), np.uint8)
-        rim = (cv2.dilate(spot, small) > 0) & ~(cv2.erode(spot, small) > 0)
-        rim &= cv2.erode((self.owner == facet).astype(np.uint8), wide) > 0
-        if np.count_nonzero(rim) < OUTLINE:
+        spot, beside = mine.astype(np.uint8), _square(1)
+        rim = (cv2.dilate(spot, beside) > 0) & ~(cv2.erode(spot, beside) > 0)
+        rim &= cv2.erode((self.owner == facet).astype(np.uint8), _square(2 * self._px(NEAR))) > 0
+        if np.count_nonzero(rim) < self._px(OUTLINE):
             return 0.0
         near, far = (step[rim] for step in self.steps)
         return float(np.mean(near > SHARP * np.maximum(far, STRANGE)))
+
+    def _px(self, share) -> int:
+        """A length in pixels. share : of the picture's diagonal, which is at least one that NEAR needs"""
+        return round(share * max(float(np.hypot(*self.view.shape)), BLUR_PX / NEAR))
 
     @functools.cached_property
     def steps(self):
         """(H, W), (H, W) display: how much the photograph changes within NEAR pixels to a side, and within FAR."""
         seen = self._drawn(self.seen, 0.0)
-        return _step(seen, NEAR), _step(seen, FAR)
+        return _step(seen, self._px(NEAR)), _step(seen, self._px(FAR))
 
     def outlined(self, factors):
         """[((H, W) bool, number of pixels, (x, y), closed)] of what sharp lines enclose that the model has not.
@@ -279,16 +286,16 @@ class _Picture:
         import cv2
 
         lines, found = self._lines(factors).astype(np.uint8), []
-        wide = cv2.dilate(lines, np.ones((7, 7), np.uint8))
+        wide = cv2.dilate(lines, _square(self._px(FAR) // 2))
         number, label = cv2.connectedComponents(wide, connectivity=8)
         for k in range(1, number):
             points = np.argwhere((label == k) & (lines > 0))[:, ::-1]
-            if len(points) < LINE:
+            if len(points) < self._px(LINE) * 2 * self._px(NEAR):
                 continue
             hull = cv2.fillConvexPoly(np.zeros_like(lines), cv2.convexHull(points.astype(np.int32)), 1)
-            rim = (hull - cv2.erode(hull, np.ones((3, 3), np.uint8)) > 0) & self.away
+            rim = (hull - cv2.erode(hull, _square(1)) > 0) & self.away
             closed = float(np.mean(wide[rim] > 0)) if rim.any() else 0.0
-            mine = cv2.erode(hull, np.ones((2 * NEAR + 1,) * 2, np.uint8))  # lines are as wide
+            mine = cv2.erode(hull, _square(self._px(NEAR)))  # lines are as wide
             if mine.sum() >= LARGE * mine.size and closed > HALF:
                 found.append((mine > 0, int(mine.sum()), points.mean(axis=0), closed))
         return found
@@ -310,15 +317,15 @@ class _Picture:
         change = np.zeros(self.owner.shape, np.uint8)
         change[:, 1:] |= self.owner[:, 1:] != self.owner[:, :-1]
         change[1:] |= self.owner[1:] != self.owner[:-1]
-        reach = max(FAR, round(BESIDE * change.shape[1]))
-        return (cv2.dilate(change, np.ones((2 * reach + 1,) * 2, np.uint8)) == 0) & (self.owner >= 0)
+        reach = self._px(max(FAR, BESIDE))
+        return (cv2.dilate(change, _square(reach)) == 0) & (self.owner >= 0)
 
     def _are_shadows(self, some, far, factors):
         """(n,) bool: across these pixels the lamps' own light changes as the photograph does. far : (H, W)"""
         tile, most = self.which[some], np.zeros(len(some))
         own = self.state.rho[self.group[some]] * (self.tiles.direct[tile] @ self.by_lamps)
         rest = np.maximum(self.B[tile] - own, 0)
-        for step in (FAR, FAR * self.owner.shape[1]):  # `away` leaves so much of the facet all around
+        for step in self._px(FAR) * np.array([1, self.owner.shape[1]]):  # `away` leaves so much of the facet all around
             ends = [rest + self._by_lamps(some, self.pixel[some] + sign * step, factors) for sign in (-1, 1)]
             most = np.maximum(most, np.abs(np.subtract(*map(self.metric.value, ends))).max(axis=1))
         return most > BY_SHADOW * self._of_pixels(far)[some]
@@ -362,6 +369,11 @@ def _is_of_one(owner):
     """Nearly all of the pixels (n,) have the same owner; -1: they have none."""
     count = np.bincount(owner[owner >= 0], minlength=1)
     return bool(count.sum() - count.max() < ELSEWHERE * count.sum())
+
+
+def _square(reach):
+    """What reaches so many pixels to each side."""
+    return np.ones((2 * reach + 1,) * 2, np.uint8)
 
 
 def _step(light, px):

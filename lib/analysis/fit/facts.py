@@ -77,6 +77,7 @@ def problem_of(factors: FormFactors, found: Gathered, *, lamps, reference, trans
             outside.halves(factors, tiles.direct, tiles.rows),
         ),
         group_area=factors.group_area_m2,
+        shown=int(found.visible.sum()),
     )
 
 

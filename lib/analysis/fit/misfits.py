@@ -12,10 +12,14 @@ from lib.analysis.seen.tile_pixels import TilePixels
 from lib.given.transfer import Metric, Transfer
 
 ENOUGH = 12  # tiles of a group without which it is not judged
+CHANCE = 3.0  # standard errors of a mean square, up to which noise and sampling explain it
 OTHER = 0.1  # relative difference of an object's reflectance from its group's that is worth a word
 UNLIKE = 0.25  # the same of an object that only its untrusted pixels tell of
 THRESHOLD = 0.0125  # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
-LEAST = 0.0056  # of it, that a group is off by which stands out: what large ones may keep
+# what of the threshold a group may keep, by its share of the picture: up to .8 % of it shadows' edges may cover all,
+# and beyond they cover less of it the wider it is, down to what light is known to anywhere
+SMALL, LARGE = 0.00814, 0.45
+LEAST = LARGE * THRESHOLD  # that a group is off by which stands out
 APART, APART_LEAST = 3.0, 0.0025  # the same of trusted tiles: exact rooms have up to 2.4, one of 30 more
 STANDS_OUT = 5.0  # times what groups usually are off by: exact rooms have up to 4.6, once 7
 
@@ -24,14 +28,14 @@ STANDS_OUT = 5.0  # times what groups usually are off by: exact rooms have up to
 class Misfit:
     """How far tiles are from the photograph, in display values.
 
-    excess : rms beyond noise and its chance;  rms, noise;  tiles, pixels : how many
+    excess : rms beyond noise and its chance;  rms, noise;  tiles : how many;  share : of the picture, that they cover
     """
 
     excess: float
     rms: float
     noise: float
     tiles: int
-    pixels: int
+    share: float
 
     @property
     def judged(self):
@@ -39,8 +43,8 @@ class Misfit:
 
     @property
     def energy(self):
-        """What the whole group is off by: squares summed over its pixels."""
-        return self.excess**2 * self.pixels
+        """What the whole group is off by: squares summed over its share of the picture."""
+        return self.excess**2 * self.share
 
 
 def misfit(problem: Problem, transfer: Transfer, B, seen, n_pixels, spread=0.0) -> Misfit:
@@ -51,9 +55,10 @@ def misfit(problem: Problem, transfer: Transfer, B, seen, n_pixels, spread=0.0) 
     square = float((w[:, None] * residual**2).sum() / residual.shape[1])
     each = problem.noise_variance(n_pixels) + np.broadcast_to(np.asarray(spread) ** 2, residual.shape)
     variance = float((w[:, None] * each).sum() / residual.shape[1])
-    chance = 1 + 3 * np.sqrt(2 / max(residual.size, 1))  # so far three standard errors of a mean square of noise reach
+    chance = 1 + CHANCE * np.sqrt(2 / max(residual.size, 1))  # a mean square of n errors has 2 / n of its own square
     excess = float(np.sqrt(max(square - chance * variance, 0)))
-    return Misfit(excess, float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), int(n_pixels.sum()))
+    share = problem.share(n_pixels.sum())
+    return Misfit(excess, float(np.sqrt(square)), float(np.sqrt(variance)), len(n_pixels), float(share))
 
 
 def audit(
@@ -190,10 +195,11 @@ def energy(found) -> float:
 def tolerance(misfit: Misfit, threshold):
     """The error that a group may keep.
 
-    A small group may keep the threshold, since shadows in corners may cover it. A group of many pixels, which they do
-    not cover, may keep down to less than half of it.
+    A small group may keep the threshold, since shadows in corners may cover it. They reach into a wider one by an angle
+    that does not grow with it, so that what they cover falls as one over its width: its error may be less, down to what
+    no light is known better than. How many pixels show the group has no say, but in what noise explains.
     """
-    return threshold * float(np.clip(np.sqrt(2500 / max(misfit.pixels, 1)), 0.45, 1))
+    return threshold * float(np.clip(np.sqrt(SMALL / max(misfit.share, 1e-12)), LARGE, 1))
 
 
 def keener(found, threshold, times=STANDS_OUT):

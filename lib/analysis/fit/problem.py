@@ -170,6 +170,7 @@ class Problem:
     specular : light by way of mirrors and glossy surfaces, None where every group is diffuse
     variance : (T, 1) display, of what is known not to be explained (a texture), or None
     cause : fitted with the rest, or None;  doubted : not fitted, but sigma knows that it may be so, or None
+    shown : pixels that show the model, used or not;  0: those of the tiles
     gain : (T, 1) of the lens, by which the photograph is divided, or None
     block_noise : display, of blocks of pixels (JPEG);  edge_noise : (T,) of a pixel of each tile, beside edges, or None
     colour_noise : (C,) display, that all tiles of one colour have in common, or None
@@ -213,6 +214,7 @@ class Problem:
     spread_E: np.ndarray | None = None
     noisy: bool = False
     black: np.ndarray | None = None
+    shown: int = 0
     photograph: TilePixels | None = None
 
     def __post_init__(self):
@@ -231,6 +233,10 @@ class Problem:
     @property
     def n_pixels(self):
         return np.diff(self.start)
+
+    def share(self, n_pixels) -> float:
+        """What so many pixels are of the picture."""
+        return n_pixels / max(self.shown or len(self.pixels), 1)
 
     def noise_variance(self, n_pixels):
         """(T, 1) display variance of means over so many pixels (T,): of each pixel, and of blocks that share it."""

@@ -27,7 +27,6 @@ RAYS, FEW_RAYS = 128, 32  # of each tile: to compare rungs, and to find a shape
 DULL = 0.04  # alpha, from which the picture of a lamp in a lobe has no sharp outline
 LEAST_EXPLAINED = 0.2  # of a group's error by a round lobe: less is not worth a search for a long one
 TURNS = 6  # directions that the search for an anisotropic lobe begins with
-LEAST_PIXELS = 20  # of a group that is seen at once; else its pixels in mirrors
 ALL, BROAD = 0.995, 0.3  # rho_s, and alpha, beyond which no surface has such a lobe
 LOBE_TILES = 260  # that a search over shapes looks at
 
@@ -186,12 +185,13 @@ def _mirror_tiles(site, light, wider, chains, g, textured) -> Receivers | None:
     good = np.flatnonzero(pure & ~site.is_lamp[shown.facet])
     # a texture's pattern would count as the mirror's error
     sure = good[~np.isin(site.surface.group[shown.facet[good]], textured)]
-    good = sure if len(sure) >= 200 else good
-    if len(good) < 40:
-        return None
-    none = np.full(len(good), -1, np.int32)
-    t = site.new_tiles(pixel[good], shown.of(good), none, rays=128, seed=131, **PLAIN)
-    return t if len(t) >= ENOUGH else None
+    for some in (sure, good):
+        none = np.full(len(some), -1, np.int32)
+        t = site.new_tiles(pixel[some], shown.of(some), none, rays=128, seed=131, **PLAIN) if len(some) else ()
+        if len(t) >= ENOUGH:
+            return t
+        if len(some) == len(good):
+            return None
 
 
 def _by_mirrored_lamps(site, light, wider, chains, t):
@@ -244,16 +244,13 @@ class Lobe:
         self.rho_s = np.vstack([light.rho_s, np.ones((1, site.channels))])
         power = np.ones((1, site.channels))
         pixel = site.pure_pixels_of([g])
-        shown = site.at_once(pixel)
-        if len(pixel) < LEAST_PIXELS:  # what only mirrors show
+        t = self._tiles(pixel, site.at_once(pixel))
+        if len(t) < ENOUGH:  # what only mirrors show
             pixel, shown, self.known = _in_known_mirrors(site, light.finish, g)
-            if len(pixel) < LEAST_PIXELS:
+            t = self._tiles(pixel, shown)
+            if len(t) < ENOUGH:
                 return
             power = self.known.power(light.rho_s)
-        lobe = np.full(len(pixel), len(light.finish), np.int32)
-        t = site.new_tiles(pixel, shown, lobe, rays=256, seed=141, per_facet=400, **SHEEN)
-        if len(t) < ENOUGH:
-            return
         if len(t) > LOBE_TILES:
             t = t.take(np.unique(np.linspace(0, len(t) - 1, LOBE_TILES).astype(int)))
         self.tiles = t
@@ -264,6 +261,12 @@ class Lobe:
         noise = light.problem.noise_variance(t.n_pixels) + 0.004**2
         self.weight = light.metric.slope(self.seen) ** 2 / noise
         self.diffuse = self._best(np.zeros_like(self.irradiance)).misfit
+
+    def _tiles(self, pixel, shown):
+        """Of pixels (n,) that show the lobe. shown : what they show"""
+        lobe = np.full(len(pixel), len(self.light.finish), np.int32)
+        options = {"rays": 256, "seed": 141, "per_facet": 400, **SHEEN}
+        return self.site.new_tiles(pixel, shown, lobe, **options) if len(pixel) else ()
 
     def fit(self, alpha, tangent, rays=RAYS) -> LobeFit:
         """With a lobe of this shape; tangent None: isotropic;  rays : of each tile"""

@@ -156,8 +156,9 @@ class Site:
         i = where[at]
         first = i[start[:-1]]
         p, side = shown.p[i], shown.side[i].astype(np.int32)
+        samples = gather.samples_per_pixel(gather.Sampling.lamp_samples, (H, W))
         direct = lamps.direct(
-            self.surface, self.lamps, p, self.normals, side, self.n_lamps, n_samples=4, start=start, seed=seed
+            self.surface, self.lamps, p, self.normals, side, self.n_lamps, n_samples=samples, start=start, seed=seed
         )
         n_rays = np.full(len(first), rays)
         rows = form_factors.gather(self.surface, self.mesh, p, start, side[start[:-1]], n_rays, seed=seed)

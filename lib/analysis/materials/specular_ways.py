@@ -13,8 +13,9 @@ from lib.light import form_factors, lamps, specular, specular_lamps
 from lib.light.chains import GLOSSY, MIRROR, Chains, Finish
 from lib.light.specular import Transport
 
-PLAIN = {"largest": 20, "smallest": 4, "per_facet": 24}  # tiles of diffuse surfaces in mirrors
-SHEEN = {"largest": 12, "smallest": 3}  # of lobes, which change within few pixels
+# tiles, see gather.blocks: of diffuse surfaces in mirrors, and of lobes, whose light changes within smaller angles
+PLAIN = {"largest": 1 / 40, "smallest": 1 / 200, "per_facet": 24}
+SHEEN = {"largest": 0.015, "smallest": 0.00375}
 
 
 class Traced(NamedTuple):

@@ -57,19 +57,23 @@ class Tiles:
 class Sampling:
     """How finely light is gathered.
 
-    rays_per_tile, rays_per_facet : at least so many from each;  lamp_samples : shadow rays per pixel and lamp
-    tiles_per_facet : about so many;  largest, smallest : side of a tile, px
+    rays_per_tile, rays_per_facet : at least so many from each;  lamp_samples : of `samples_per_pixel`, to each lamp
+    tiles_per_facet : about so many;  largest, smallest : side of a tile, in diagonals of the picture
+
+    So a larger picture has tiles of more pixels, and as many.
     """
 
     rays_per_tile: int = 512
     rays_per_facet: int = 32768
     lamp_samples: int = 4
     tiles_per_facet: int = 24
-    largest: int = 20
-    smallest: int = 4
+    largest: float = 1 / 40
+    smallest: float = 1 / 200
     seed: int = 5
 
 
+LEAST_PX = 2  # side of a tile: noise is known by neighbours in it
+USUAL_PX = 800  # diagonal of the picture that `lamp_samples` are meant for, 640 x 480
 LAMP_SAMPLES = 64  # of each lamp in a tile at least
 # of its light that a tile has from patches beside a gap: tiles in a gap had .6 and more and were wrong by half their
 # light, all others had .1 at most and were as right as without a gap (shelves 20 mm apart, boards 3 to 30 mm off)
@@ -77,8 +81,22 @@ IN_GAP = 0.3
 AUDIT = Sampling(rays_per_tile=128, rays_per_facet=0, lamp_samples=1, tiles_per_facet=60, seed=77)
 
 
-def blocks(facet, used, place=None, hand=1, *, largest=20, smallest=4, tiles_per_facet=24):
+def samples_per_pixel(lamp_samples, shape) -> int:
+    """Shadow rays that a pixel has in a picture (H, W), for as many in a tile: a power of two, at least one.
+
+    lamp_samples : in one of USUAL_PX
+
+    >>> [samples_per_pixel(4, shape) for shape in ((240, 320), (480, 640), (960, 1280), (1920, 2560))]
+    [16, 4, 1, 1]
+    """
+    return 2 ** max(0, round(np.log2(lamp_samples * (USUAL_PX / np.hypot(*shape)) ** 2)))
+
+
+def blocks(facet, used, place=None, hand=1, *, largest=1 / 40, smallest=1 / 200, tiles_per_facet=24):
     """Cut the used pixels into square tiles of one facet each, small on small facets.
+
+    Their sides are shares of the picture's diagonal: light changes with the angle, and what is decided by the number of
+    tiles shall not hang on that of the pixels.
 
     facet : (H, W) int, -1 = nothing;  used : (H, W) bool;  place : (F,) of each facet in the order of the tiles
     hand : of the model: tiles are cut from the left, -1: from the right
@@ -91,9 +109,10 @@ def blocks(facet, used, place=None, hand=1, *, largest=20, smallest=4, tiles_per
     if len(f) == 0:
         return np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64)
     count = np.bincount(f)
-    block = np.clip(np.sqrt(count / tiles_per_facet), smallest, largest).astype(np.int64)[f]
-    columns = facet.shape[1] // smallest + 1
-    key = ((f if place is None else place[f]) * (facet.shape[0] // smallest + 1) + y // block) * columns + x // block
+    low, high = (max(round(share * np.hypot(*facet.shape), 6), LEAST_PX) for share in (smallest, largest))
+    block = np.clip(np.sqrt(count / tiles_per_facet), low, high).astype(np.int64)[f]
+    rows, columns = (side // int(low) + 1 for side in facet.shape)
+    key = ((f if place is None else place[f]) * rows + y // block) * columns + x // block
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.diff(key[order], prepend=-1))
     return (
@@ -120,17 +139,17 @@ def pure(photograph, facet):
     return usable & ~black & ~share(saturated)
 
 
-def _direct(surface, emitters, n_lamps, p, side, start, sampling):
+def _direct(surface, emitters, n_lamps, p, side, start, samples, seed):
     """(T, L) direct factors of the tiles: small ones have more samples of the lamps in each pixel."""
-    normals, seed = side_normals(surface), sampling.seed - 5
+    normals = side_normals(surface)
     of = lambda p, side, start, n, numbers: lamps.direct(
         surface, emitters, p, normals, side, n_lamps, n_samples=n, start=start, seed=seed, numbers=numbers
     )
     numbers = lamps.numbered(len(p), start)
-    found = of(p, side, start, sampling.lamp_samples, numbers)
+    found = of(p, side, start, samples, numbers)
     count = np.diff(start)
     wanted = (2 ** np.ceil(np.log2(LAMP_SAMPLES / np.maximum(count, 1)))).astype(np.int64)
-    for n in np.unique(wanted[wanted > sampling.lamp_samples]):
+    for n in np.unique(wanted[wanted > samples]):
         few = wanted == n
         mine = np.repeat(few, count)
         found[few] = of(p[mine], side[mine], np.append(0, np.cumsum(count[few])), int(n), numbers[mine])
@@ -155,7 +174,8 @@ def build(
         tiles_per_facet=s.tiles_per_facet,
     )
     p, side = backproject(surface, camera, np.repeat(tile_facet, np.diff(start)), pixel)
-    direct = _direct(surface, emitters, n_lamps, p, side, start, s)
+    samples = samples_per_pixel(s.lamp_samples, facet.shape)
+    direct = _direct(surface, emitters, n_lamps, p, side, start, samples, s.seed - 5)
     tiles_of = np.zeros(0, int)
     if len(tile_facet):
         tiles_of = np.bincount(tile_facet, minlength=len(surface.normal))[tile_facet]
