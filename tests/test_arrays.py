@@ -14,7 +14,7 @@ from lib.light import chains, factors_file, specular, specular_file
 from lib.light import lamps as lamps_
 from lib.light.mirror_view import MirrorView
 from lib.light.specular_file import Traced
-from tests.helpers import rooms, small_scenes
+from tests.helpers import rooms, small_scenes, stages
 from tests.helpers.boxes import look
 
 TABLE = {"n": Size("N"), "start": Starts("T+1", into="K"), "of": Whole("K", below="N"), "x": Real("T", 2, low=0)}
@@ -127,6 +127,6 @@ def test_light_of_another_scene_is_refused(folder, what, tmp_path):
     files |= {"camera": "camera.cameramodel", "photograph": "left.png"}
     words = {name: folder / file for name, file in files.items()} | {"gather": tmp_path / "gather.npz"}
     words |= {"lamps": json.dumps({"lamp": [1]}), "materials": tmp_path / "materials.json"}
-    options = small_scenes.fit_stage().options()
+    options = stages.module("fit").options()
     with pytest.raises(BadInput, match=rf"gather.npz: {key}: {message}" if message else "gather.npz: "):
         Task.read(options.parse_args([str(w) for k, v in words.items() for w in (f"--{k}", v)])).view()

@@ -126,7 +126,7 @@ def test_a_wall_behind_the_camera_is_not_missed(tmp_path, name, least):
     def without_wall(folder):
         obj(folder, lambda line, thing: None if (thing, line) == ("walls", "f 4 6 5 1") else line)
 
-    build, found, off = deviated(tmp_path, without_wall, name)
+    build, found, off = deviated(tmp_path, without_wall, name, until="render")
     assert found["status"] == "converged" and [c["cause"] for c in found["explained"]] == ["glow"]
     assert off < 6
     cause = found["explained"][0]

@@ -23,8 +23,8 @@ from lib.analysis.fit.misfits import Misfit
 from lib.analysis.materials import ladder, rungs
 from lib.analysis.materials.climbing import Climb, Place
 from lib.core import stage
-from tests.helpers import rooms
-from tests.helpers.small_scenes import Studio, fit_stage, photograph
+from tests.helpers import rooms, stages
+from tests.helpers.small_scenes import Studio, photograph
 from tests.helpers.views import look
 
 WALLS = {"bottom": 0.4, "top": 0.8, "west": 0.6, "east": 0.5, "south": 0.55, "north": 0.7}
@@ -716,7 +716,7 @@ def files(room, tmp_path):
 
 def refused(capsys, tmp_path, words):
     """The one line of a refusal: exit status 2, nothing written."""
-    module = fit_stage()
+    module = stages.module("fit")
     with pytest.raises(SystemExit) as end:
         stage.run(module.main, module.options(), words)
     lines = capsys.readouterr().err.strip().splitlines()
