@@ -1,7 +1,8 @@
 """By scene: every shipped scene runs through make and keeps its two-sided bounds in tests/expected/<scene>.csv.
 
-The bounds' upper ends are at most what was promised (0.5 % mean, 0.01 largest absolute, gamma within 0.01); office-1 to
-office-3 were never tuned on. A second make does nothing.
+An error may become twice that of the run that the bounds were written from, and no better than a quarter of it:
+`python -m tests.bench.bounds` writes them, and says the rule. office-1 to office-3 were never tuned on. A second make
+does nothing.
 
 The scenes are built into build/tests and stay there: Make remakes what an edit touches.
 """
