@@ -83,7 +83,7 @@ new-scene: setup
 
 # The loop while one works; all that must pass; what takes minutes each.  Tests run side by side, one on each core.
 # Thousands of processes start: each would compile lib/ anew, half a CPU second, where bytecode may not be written.
-TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal
+TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal -p tests.helpers.costs
 
 check: lint
 	NUMBA_NUM_THREADS=1 $(TESTS) -m 'not scene and not outside and not slow'
