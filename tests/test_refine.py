@@ -146,7 +146,11 @@ def test_an_exact_scene_runs_once():
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("causes", [["lamp_place"], ["vignetting", "lamp_place"]], ids="+".join)
+@pytest.mark.parametrize(
+    "causes",
+    [pytest.param(["lamp_place"], marks=pytest.mark.slow), ["vignetting", "lamp_place"]],
+    ids="+".join,
+)
 def test_a_lamp_is_moved_to_where_its_light_has_it(tmp_path, causes):
     def elsewhere(folder):
         lamp_elsewhere(folder)
@@ -201,7 +205,7 @@ def test_a_mirror_does_not_hide_a_camera_that_mixes_colours(tmp_path):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("seed", [9733, 9704])
+@pytest.mark.parametrize("seed", [9733, pytest.param(9704, marks=pytest.mark.slow)])
 def test_causes_that_bend_to_a_mirror_do_not_hide_it(seed):
     """A floor that mirrors, a wall that shines: a curve and a lens's shadow explained as much, and nothing fitted."""
     row = intervals.measured(seed, "shiny")

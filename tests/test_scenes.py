@@ -14,10 +14,13 @@ from tests.helpers import shipped
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = sorted(path.stem for path in (ROOT / "tests/expected").glob("*.csv"))
+# A minute or two each. Beside them office-mirror and office-coloured-mirror judge mirrors, desk-brushed gloss, and
+# office-stereo and office-stereo-grey pairs.
+LONG = ("two-mirrors", "desk-glossy", "office-stereo-1")
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", [pytest.param(s, marks=[pytest.mark.slow] * (s in LONG)) for s in SCENES])
 def test_scene_keeps_its_bounds(scene):
     with shipped.built(scene) as build:
         assert (build / "report.html").exists()
