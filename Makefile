@@ -82,7 +82,8 @@ new-scene: setup
 	  --camera="$$CAMERA" --image="$$IMAGE" --picks="$$PICKS" --megapixels="$$MEGAPIXELS"
 
 # The loop while one works; all that must pass; what takes minutes each.  Tests run side by side, one on each core.
-TESTS := OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal
+# Thousands of processes start: each would compile lib/ anew, half a CPU second, where bytecode may not be written.
+TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n auto --dist worksteal -p tests.helpers.costs
 
 check: lint
 	NUMBA_NUM_THREADS=1 $(TESTS) -m 'not scene and not outside and not slow'

@@ -7,10 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import toy_project
+from tests.helpers import stages, toy_project
 
 ROOT = Path(__file__).resolve().parents[1]
 SIDES = ("left", "right")
+
+
+def pytest_collection_modifyitems(items):
+    """Whole scenes first, then files whose tests take seconds: what is left at the end is short, and no core waits."""
+    dear = {item.path for item in items if item.get_closest_marker("scene")}
+    items.sort(key=lambda item: 0 if item.path.name == "test_scenes.py" else 1 if item.path in dear else 2)
 
 
 @pytest.fixture(scope="session")
@@ -54,10 +60,15 @@ def toy(tmp_path, run):
 
 @pytest.fixture
 def refuses(run):
-    """Runs a command that must refuse: exit 2, one line per problem on stderr, no traceback; returns the lines."""
+    """Runs a command that must refuse: exit 2, one line per problem on stderr, no traceback; returns the lines.
+
+    A stage is called in this process: that each refuses as a process of its own is tests/test_pipeline.py's.
+    """
 
     def call(*words, **options):
-        result = run(*words, **options)
+        words = [str(word) for word in words]
+        in_here = words[0].startswith("stages/") and not options
+        result = stages.call(Path(words[0]).stem, *words[1:]) if in_here else run(*words, **options)
         assert result.returncode == 2, result
         assert "Traceback" not in result.stderr, result.stderr
         return result.stderr.strip().splitlines()

@@ -14,7 +14,7 @@ from lib.light import chains, factors_file, specular, specular_file
 from lib.light import lamps as lamps_
 from lib.light.mirror_view import MirrorView
 from lib.light.specular_file import Traced
-from tests.helpers import rooms, small_scenes
+from tests.helpers import rooms, small_scenes, stages
 from tests.helpers.boxes import look
 
 TABLE = {"n": Size("N"), "start": Starts("T+1", into="K"), "of": Whole("K", below="N"), "x": Real("T", 2, low=0)}
@@ -133,7 +133,7 @@ def test_light_of_another_scene_is_refused(folder, what, tmp_path):
 
 def task_of(words):
     """What stages/fit.py reads of its command line. words : {option: value}"""
-    options = small_scenes.fit_stage().options()
+    options = stages.module("fit").options()
     return Task.read(options.parse_args([str(w) for name, value in words.items() for w in (f"--{name}", value)]))
 
 

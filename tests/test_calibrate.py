@@ -10,7 +10,7 @@ import pytest
 from lib.core.stage import BadInput
 from lib.given import cameras, image, lenses, mrcal_runner
 from lib.vision import autocalibration, board_calibration, boards, calibration_answer, orientation
-from tests.helpers import chessboards
+from tests.helpers import chessboards, shipped
 
 needs_mrcal = pytest.mark.skipif(shutil.which(mrcal_runner.COMMAND) is None, reason="mrcal is not installed")
 SIZES = ((640, 480), (640, 480))
@@ -268,27 +268,13 @@ def test_real_fisheye(root, tmp_path):
 
 @pytest.mark.scene
 @needs_mrcal
-def test_rendered_boards(root, run, tmp_path):
+def test_rendered_boards(root):
     """office-stereo, boards by another renderer: lenses and pose against truth, at their own sigma, in 0.1 px."""
     scene = root / "data/office-stereo"
-    board = next(line for line in (scene / "scene.yaml").read_text().splitlines() if line.startswith("board"))
-    import yaml
-
-    result = run(
-        *calibrate(
-            scene / "boards",
-            tmp_path,
-            yaml.safe_load(board)["board"],
-            "--photograph",
-            scene / "left.png",
-            "--photograph-right",
-            scene / "right.png",
-        )
-    )
-    assert result.returncode == 0, result.stderr
-    answer = json.loads((tmp_path / "calibration.json").read_text())
+    with shipped.built(scene.name, "calibrate") as build:
+        answer = json.loads((build / "calibration.json").read_text())
+        found = [lenses.read(build / f"{side}.cameramodel") for side in boards.SIDES]
     truth = [lenses.read(scene / f"truth/{side}.cameramodel") for side in boards.SIDES]
-    found = [lenses.read(tmp_path / f"{side}.cameramodel") for side in boards.SIDES]
     assert answer["distance_of"] == "scene" and 2 < answer["distance_m"] < 6 and answer["good_to_px"] < 0.1
     for true, ours, camera in zip(truth, found, answer["cameras"].values(), strict=True):
         assert 0.005 < camera["rms"] < 0.06

@@ -81,9 +81,8 @@ def test_a_photograph_that_is_too_dark_or_white(tmp_path):
     assert "EXIF says" in looked(tmp_path, turned=3)[1]
 
 
-def test_large_photographs_are_told_what_they_need(monkeypatch, tmp_path):
-    monkeypatch.setattr(first_look, "_memory_gb", lambda: 8.0)
-    found = first_look.cost((4500, 6000, 3))
+def test_large_photographs_are_told_what_they_need():
+    found = first_look.cost((4500, 6000, 3), has=8.0)
     assert found.doubt and "27.0 megapixels" in found.text and "this machine has 8.0 GB" in found.text
 
 

@@ -4,7 +4,6 @@ The problems here are made, see tests/helpers/made_problems.py.
 """
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from scipy.sparse import csr_array
 from lib.analysis.fit import gauss_newton, paper, transport
 from lib.analysis.fit.equations import Equations, Layout, Unknowns
 from lib.analysis.fit.problem import CauseTerms
-from lib.analysis.fit.uncertainty import _Normal
+from lib.analysis.fit.uncertainty import NormalEquations
 from lib.analysis.seen.tile_pixels import TilePixels
 from lib.given import transfer_kinds
 from lib.given.transfer import CURVES, Metric, Transfer
@@ -293,17 +292,6 @@ def test_a_tile_of_a_noisy_photograph_is_right_wherever_the_noise_came_to_it(sig
     assert off.std() < 1.3 * np.sqrt(1.5) * sigma / np.sqrt(6000) + 3e-4
 
 
-def normal_equations(J, residual, weight=1.0):
-    """What uncertainty._Normal.beside needs of a fit, by hand; without a prior."""
-    return SimpleNamespace(
-        J=J,
-        weight=np.full(len(J), weight),
-        prior=np.zeros((J.shape[1],) * 2),
-        inverse=np.linalg.inv(weight * J.T @ J),
-        at=SimpleNamespace(residual=residual),
-    )
-
-
 @pytest.mark.parametrize(("left", "unknown"), [(1e-5, 0.5**0.5), (1e-3, 0.5), (1e-2, 0.0)])
 def test_what_changes_no_tile_tells_nothing(left, unknown):
     """A function that another resembles to less than light is known to (1e-3) may be that one as likely as not, however
@@ -313,7 +301,7 @@ def test_what_changes_no_tile_tells_nothing(left, unknown):
     across -= J @ np.linalg.lstsq(J, across, rcond=None)[0]
     across *= left / np.sqrt(np.mean(across**2))
     terms = CauseTerms(("response",), (J @ x + across)[:, None, None], np.ones(1))
-    found = _Normal.beside(normal_equations(J, np.zeros(4000), weight=1e12), terms, resolved=1e-3)
+    found = NormalEquations(J, np.zeros(4000), np.full(4000, 1e12)).beside(terms, resolved=1e-3)
     np.testing.assert_allclose(np.sqrt(np.diag(found)) / np.abs(x), unknown, atol=0.01)
 
 
@@ -321,5 +309,7 @@ def test_a_doubt_does_not_depend_on_where_in_its_valley_a_fit_ended():
     rng = np.random.default_rng(4)
     J, noise = rng.normal(size=(500, 3)), rng.normal(size=500)
     terms = CauseTerms(("response",), rng.normal(size=(500, 1, 1)), np.ones(1))
-    there, beside = (_Normal.beside(normal_equations(J, noise + J @ off), terms) for off in (np.zeros(3), np.ones(3)))
+    there, beside = (
+        NormalEquations(J, noise + J @ off, np.ones(500)).beside(terms) for off in (np.zeros(3), np.ones(3))
+    )
     np.testing.assert_allclose(there, beside, rtol=1e-9)

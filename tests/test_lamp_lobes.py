@@ -189,6 +189,7 @@ def error(found):
     return np.mean([np.abs(np.divide(ours, true) - 1) for ours, true in pairs if ours is not None])
 
 
+@pytest.mark.scene
 def test_a_lobe_that_is_told_is_taken_as_it_is(tmp_path):
     true = TRUTH.lamps["lamp"].lobe
     told = json.dumps({"aim": [2 * v for v in true.aim], "exponent": true.exponent})
@@ -197,6 +198,7 @@ def test_a_lobe_that_is_told_is_taken_as_it_is(tmp_path):
     assert found.lamps["lamp"].sigma is None and np.allclose(found.lobes["lamp"], TRUTH.lobes["lamp"])
 
 
+@pytest.mark.scene
 def test_a_lobe_that_is_asked_for_is_found_without_leave(tmp_path):
     found = fitted(tmp_path, LAMP_YAML % "unknown" + "explain: []\n")
     lamp, sigma = found.lobes["lamp"], found.lamps["lamp"].sigma
@@ -205,17 +207,20 @@ def test_a_lobe_that_is_asked_for_is_found_without_leave(tmp_path):
     assert abs(lamp[3] - TRUTH.lobes["lamp"][3]) < 3 * sigma.exponent < 0.1
 
 
+@pytest.mark.slow
 def test_the_ladder_climbs_in_the_light_of_a_lobe(tmp_path):
     found = fitted(tmp_path, "lamps: {lamp: [36.2979, 31.3137, 27.1693]}\nsurfaces: {crate: textured}\n")
     assert found.status == "converged" and found.groups["crate"].kind == "textured" and error(found) < 0.02
     assert np.degrees(np.arccos(found.lobes["lamp"][:3] @ TRUTH.lobes["lamp"][:3])) < 1
 
 
+@pytest.mark.scene
 def test_without_leave_a_lobe_is_a_misfit(tmp_path):
     found = fitted(tmp_path, "lamps: {lamp: [36.2979, 31.3137, 27.1693]}\nexplain: []\n")
     assert found.status == "does not fit" and not any(group.identified for group in found.groups.values())
 
 
+@pytest.mark.scene
 def test_a_lobe_that_is_told_wrongly_is_named(tmp_path):
     true = TRUTH.lamps["lamp"].lobe
     found = fitted(tmp_path, LAMP_YAML % json.dumps({"aim": list(true.aim), "exponent": true.exponent + 1}))

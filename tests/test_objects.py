@@ -173,6 +173,7 @@ def right(placed, T_true, thing):
 def test_a_wrong_height_is_said_and_right_ones_are_not(tmp_path):
     case = displaced_pairs.displaced_pair("objects-2", 0.0, size=SIZE, taller_m=0.02)
     result = place(given(case, tmp_path), sides(case, tmp_path), [], refine=True, fixed=case.recipe.lamps)
+    assert result.placed == [], "all stand where they are drawn"
     ((name, by_m),) = case.taller.items()
     (size,) = result.sizes
     assert (size.name, np.abs(size.axis).tolist()) == (name, [0, 0, 1]) and abs(size.by_m - by_m) < 0.002
@@ -219,7 +220,7 @@ def test_what_is_seen_where_it_is_drawn_stays_there(monkeypatch):
     """Two right objects of path-traced rooms were moved by 2.4 and 2.7 cm along the line of sight."""
     job, scenery = SimpleNamespace(photographs=None), None
     monkeypatch.setattr(place_, "evidence", lambda *_: (0.86, 0.05, 18.6, 43))
-    monkeypatch.setattr(place_, "_final", lambda *_: pytest.fail("it is looked for elsewhere"))
+    monkeypatch.setattr(place_, "fitted", lambda *_: pytest.fail("it is looked for elsewhere"))
     assert place_._elsewhere(job, scenery, 0) is None
 
 

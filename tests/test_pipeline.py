@@ -12,6 +12,7 @@ from lib.core.stage import BadInput
 from lib.planning import doctor
 from lib.planning.command import imports
 from lib.planning.pipeline import read_pipeline
+from tests.helpers import stages
 from tests.helpers.toy_project import PIPELINE
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -87,9 +88,12 @@ def test_a_stage_takes_the_options_that_the_pipeline_gives_it(name, root):
 
 
 @pytest.mark.parametrize("name", built())
-def test_a_stage_is_executable_and_refuses_in_one_line(name, root, refuses):
+def test_a_stage_is_executable_and_refuses_in_one_line(name, root, run):
+    """As a process of its own, and as tests call it."""
     assert os.access(root / "stages" / f"{name}.py", os.X_OK)
-    assert len(refuses(f"stages/{name}.py", "--no-such-option")) == 1
+    alone, here = run(f"stages/{name}.py", "--no-such-option"), stages.call(name, "--no-such-option")
+    assert alone.returncode == here.returncode == 2 and alone.stderr == here.stderr
+    assert alone.stderr.count("\n") == 1 and "Traceback" not in alone.stderr
 
 
 # ---- what the system must have ----

@@ -1,4 +1,5 @@
-"""Recognition (§2.4): the closed form by hand, 200 rooms by law, the extremes, photographs, the stage from outside."""
+"""Recognition (§2.4): the closed form by hand, random rooms by law, the extremes, photographs, the stage from
+outside."""
 
 import json
 import time
@@ -74,7 +75,8 @@ def test_a_sure_facet_holds_where_it_holds_somewhere_in_the_box():
 
 
 @pytest.mark.scene
-def test_200_rooms(tmp_path, capsys):
+@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
+def test_random_rooms(tmp_path, capsys, count):
     """Three furnished rooms, one of them seen; half of the facets spurious, most of the others partial.
 
     No wrong answer, and 95 % answered. Other poses are named only where they explain as many facets, or one less,
@@ -82,7 +84,7 @@ def test_200_rooms(tmp_path, capsys):
     """
     status, spent, far = {}, [], []
     recognition.warm_up()
-    for seed in range(200):
+    for seed in range(count):
         random, _, model, camera = trials.room_trial(seed, tmp_path)
         facets, truth = trials.facets_seen(random, model, camera)
         begin = time.process_time()
@@ -102,8 +104,9 @@ def test_200_rooms(tmp_path, capsys):
                     pose.matches
                 ), seed
     with capsys.disabled():
-        print(f"\n200 rooms: {status}, CPU {np.mean(spent):.2f} s a trial, at most {np.max(spent):.2f} s")
-    assert status["unique"] >= 190  # so many searches were complete, too: one that gives up after its cells is unproved
+        print(f"\n{count} rooms: {status}, CPU {np.mean(spent):.2f} s a trial, at most {np.max(spent):.2f} s")
+    # so many searches were complete, too: one that gives up after its cells is unproved
+    assert status["unique"] >= 0.95 * count
     assert np.mean(np.array(far) < chi2.ppf(0.95, 6)) >= 0.90  # the covariance is honest
 
 

@@ -56,17 +56,18 @@ def angle_deg(m, true):
 
 
 @pytest.mark.scene
-def test_coverage_of_true_regions():
-    """100 scenes of 6 exact quadrilaterals: of 95 % regions, 90 to 98 % hold the truth.
+@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.slow)])
+def test_coverage_of_true_regions(count):
+    """Scenes of 6 exact quadrilaterals: of 95 % regions, 90 to 98 % hold the truth.
 
     Each scene has its own planes, camera and noise.
     """
     inside = []
-    for seed in range(100):
+    for seed in range(count):
         Q = pairs.quads(seed)
         found, _ = reconstructed(Q, sigma=(0.003, 0.01, 0.03)[seed % 3], seed=seed)
         inside += [chi2(x, Q.m[label]) < CHI2_95 for label, x in found.items() if label < 7]
-    assert len(inside) > 570
+    assert len(inside) > 5.7 * count
     assert 0.90 <= np.mean(inside) <= 0.98
 
 

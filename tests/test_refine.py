@@ -1,5 +1,6 @@
 """Camera, objects and lamps that stand elsewhere than given: what is made again, and what comes of it."""
 
+import json
 import shutil
 import subprocess
 from pathlib import Path
@@ -22,6 +23,7 @@ from lib.planning import makefile, scene
 from lib.planning.pipeline import read_pipeline
 from lib.planning.walk import walk
 from tests.bench import intervals
+from tests.helpers import shipped
 from tests.helpers.changed_scenes import clean, deviated, obj, vignetted
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -136,15 +138,20 @@ def test_a_camera_that_is_off_is_put_right(tmp_path):
 
 
 @pytest.mark.scene
-def test_an_exact_scene_runs_once(tmp_path):
-    build, found, _ = deviated(tmp_path, lambda folder: None)
-    assert found["explained"] == [] and not list(build.glob("refined.*"))
-    assert (build / "draft/gather.npz").read_bytes() == (build / "gather.npz").read_bytes()
-    assert not [p for p in (build / "draft").iterdir() if p.name.startswith(".")]
+def test_an_exact_scene_runs_once():
+    with shipped.built("flat-grey") as build:
+        found = json.loads((build / "materials.json").read_text())
+        assert found["explained"] == [] and not list(build.glob("refined.*"))
+        assert (build / "draft/gather.npz").read_bytes() == (build / "gather.npz").read_bytes()
+        assert not [p for p in (build / "draft").iterdir() if p.name.startswith(".")]
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("causes", [["lamp_place"], ["vignetting", "lamp_place"]], ids="+".join)
+@pytest.mark.parametrize(
+    "causes",
+    [pytest.param(["lamp_place"], marks=pytest.mark.slow), ["vignetting", "lamp_place"]],
+    ids="+".join,
+)
 def test_a_lamp_is_moved_to_where_its_light_has_it(tmp_path, causes):
     def elsewhere(folder):
         lamp_elsewhere(folder)
@@ -199,7 +206,7 @@ def test_a_mirror_does_not_hide_a_camera_that_mixes_colours(tmp_path):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("seed", [9733, 9704])
+@pytest.mark.parametrize("seed", [9733, pytest.param(9704, marks=pytest.mark.slow)])
 def test_causes_that_bend_to_a_mirror_do_not_hide_it(seed):
     """A floor that mirrors, a wall that shines: a curve and a lens's shadow explained as much, and nothing fitted."""
     row = intervals.measured(seed, "shiny")

@@ -11,7 +11,7 @@ from lib.analysis.causes import told_lamps
 from lib.analysis.fit import facts, misfits
 from lib.analysis.fit.gauss_newton import gauss_newton
 from lib.analysis.fit.misfits import Misfit
-from lib.analysis.fit.uncertainty import _Normal
+from lib.analysis.fit.uncertainty import NormalEquations
 from lib.analysis.materials.climbing import Place
 from lib.analysis.materials.site import Site
 from lib.analysis.seen import gather, places
@@ -75,9 +75,7 @@ def test_what_follows_a_cause_goes_where_least_squares_puts_it():
     """A group is left out: the cause's number moves by a step, and all others with it, as the whole picture has it."""
     random = np.random.default_rng(3)
     J, residual, group = random.normal(size=(40, 3)), random.normal(size=40), np.repeat([0, 1], 20)
-    normal = object.__new__(_Normal)
-    normal.n, normal.channels, normal.J, normal.weight, normal.H = 3, 1, J, np.ones(40), J.T @ J
-    normal.at = SimpleNamespace(residual=residual[:, None])
+    normal = NormalEquations(J, residual, np.ones(40))
     expected = np.zeros((3, 3))
     for g in (0, 1):
         kept = group != g

@@ -26,7 +26,7 @@ def test_recipes_are_deterministic(name):
 
 @scenes
 def test_committed_files_are_the_recipe(name):
-    recipe = recipes.make(name)
+    recipe = made(name)
     obj, mtl = recipe.model()
     for file, text in (
         ("model.obj", obj),
@@ -39,7 +39,7 @@ def test_committed_files_are_the_recipe(name):
 
 @scenes
 def test_truth_is_the_recipe(name):
-    recipe, materials, legend = recipes.make(name), truth(name, "materials.json"), truth(name, "legend.json")
+    recipe, materials, legend = made(name), truth(name, "materials.json"), truth(name, "legend.json")
     assert legend["groups"] == list(recipe.groups) and legend["objects"] == list(recipe.objects)
     assert list(materials["groups"]) == [g for g in recipe.groups if g not in recipe.lamps]
     labels = image.read_labels(DATA / name / "truth" / "group.png")
@@ -75,7 +75,7 @@ def test_nothing_a_stage_must_not_know(name):
 @scenes
 def test_model(name):
     """Polygons are planar and convex, the reader agrees with the recipe and warns of nothing, lamps shine down."""
-    recipe = recipes.make(name)
+    recipe = made(name)
     for p in recipe.polygons:
         edges = np.roll(p.points, -1, 0) - p.points
         turns = np.cross(edges, np.roll(edges, -1, 0))
@@ -93,7 +93,7 @@ def test_model(name):
 
 @scenes
 def test_camera(name):
-    recipe = recipes.make(name)
+    recipe = made(name)
     camera = cameras.read_cameramodel(DATA / name / "left.posed.cameramodel")
     assert np.allclose(camera.T_cam_world, recipe.T_cam_world, atol=1e-12) and np.allclose(
         camera.K, recipe.K, atol=1e-12
@@ -109,7 +109,7 @@ def test_camera(name):
 @scenes
 def test_group_picture_is_what_the_camera_sees(name):
     """Mitsuba's rays against polygons intersected here, at 300 pixels; the border of a group may go either way."""
-    recipe = recipes.make(name)
+    recipe = made(name)
     labels = image.read_labels(DATA / name / "truth" / "group.png")
     W, H = recipe.size
     assert labels.shape == (H, W)
@@ -119,7 +119,7 @@ def test_group_picture_is_what_the_camera_sees(name):
 @scenes
 def test_photograph(name):
     """The right size and kind; lamps saturate, and nearly nothing else does."""
-    recipe = recipes.make(name)
+    recipe = made(name)
     photograph = image.read_photograph(DATA / name / ("left.exr" if recipe.gamma is None else "left.png"))
     assert photograph.values.shape == (recipe.size[1], recipe.size[0], recipe.channels)
     assert photograph.linear == (recipe.gamma is None) and photograph.channels_in_file == recipe.channels
@@ -148,7 +148,7 @@ def test_noise(name):
     labels = image.read_labels(DATA / name / "truth" / "group.png")
     assert noise["passes"] >= 8 and noise["spp"] == noise["passes"] * noise["spp_per_pass"]
     assert 0.002 < max(noise["median_pixel"]) < 0.025
-    lamps = recipes.make(name).lamps
+    lamps = made(name).lamps
     large = {g for k, g in enumerate(legend["groups"]) if (labels == k + 1).sum() >= 500 and g not in lamps}
     assert set(noise["groups"]) == large and large
     for group in noise["groups"].values():
@@ -189,7 +189,7 @@ def test_seeds_differ():
 
 @pytest.mark.parametrize("name", recipes.NAMES)
 def test_nothing_is_black(name):
-    assert min(min(rho) for rho in recipes.make(name).materials.values()) >= 0.03
+    assert min(min(rho) for rho in made(name).materials.values()) >= 0.03
 
 
 def test_cornell_channels():

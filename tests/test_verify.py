@@ -7,9 +7,16 @@ from tests.verify import page, walks
 from tests.verify.walks import Found, Walk, at_most, near, refused
 
 EVERY = walks.every()
-SLOW = ("photometry", "told otherwise", "facets")
+SECONDS = ("photometry", "told otherwise", "facets")
+MINUTES = ("1e6 m away", "polygons in another order")  # whole makes: test_told_otherwise.py asks both of small rooms
+
+
+def marks(part, place):
+    return [pytest.mark.slow] * (place in MINUTES) + [pytest.mark.scene] * (part in SECONDS)
+
+
 PLACES = [
-    pytest.param(w, place, id=f"{w.part}: {w.name}: {place}", marks=[pytest.mark.scene] * (w.part in SLOW))
+    pytest.param(w, place, id=f"{w.part}: {w.name}: {place}", marks=marks(w.part, place))
     for w in EVERY
     for place in w.places(whole=False)
 ]

@@ -233,12 +233,15 @@ def of_edges(edges: Edges):
             yield Finding("edges", f"{why.text}: put it right, or let `explain` in scene.yaml name {why.cause}", True)
 
 
-def cost(shape) -> Finding:
-    """Memory and time to expect. A doubt where they are much. shape : (H, W, ...) of the photograph"""
+def cost(shape, has=None) -> Finding:
+    """Memory and time to expect. A doubt where they are much.
+
+    shape : (H, W, ...) of the photograph;  has : GB of memory, those of this machine where none are told
+    """
     megapixels = shape[0] * shape[1] / 1e6
     memory, seconds = GB_BASE + GB_PER_MP * megapixels, progress.typical(progress.PHOTOMETRY, shape[0] * shape[1])
     time = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
-    has = _memory_gb()
+    has = has or _memory_gb()
     text = f"about {memory:.1f} GB of memory and {time} for {megapixels:.1f} megapixels, more where surfaces shine"
     text += f"; this machine has {has:.1f} GB" if has and memory > 0.8 * has else ""
     if memory > MUCH_GB or has and memory > 0.8 * has:

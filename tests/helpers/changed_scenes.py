@@ -17,12 +17,15 @@ def clean():
     return {k: v for k, v in os.environ.items() if not k.startswith("MAKE") and k not in ("MFLAGS", "BUILD", "DATA")}
 
 
-def deviated(tmp_path, change, name="flat-grey"):
-    """(build folder, materials.json, largest error in sigma) of a scene after change(folder)."""
+def deviated(tmp_path, change, name="flat-grey", until="fit"):
+    """(build folder, materials.json, largest error in sigma) of a scene after change(folder).
+
+    until : the last stage that is asked for: rendering costs as much as all that stands before it
+    """
     folder = tmp_path / "data" / name
     shutil.copytree(ROOT / "data" / name, folder)
     change(folder)
-    words = ["make", f"DATA={tmp_path}/data", f"BUILD={tmp_path}/build", name]
+    words = ["make", f"DATA={tmp_path}/data", f"BUILD={tmp_path}/build", f"{name}/{until}"]
     run = subprocess.run(words, cwd=ROOT, env=clean(), capture_output=True, text=True)
     assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
     build = tmp_path / "build" / name

@@ -36,25 +36,33 @@ def wrong_labels(recipe, labels, count):
     The border of a group may go either way.
     """
     W, H = recipe.size
-    random, wrong = np.random.default_rng(3), 0
+    random, wrong, polygons = np.random.default_rng(3), 0, planes(recipe)
     for x, y in zip(random.integers(1, W - 1, count), random.integers(1, H - 1, count), strict=True):
         here = labels[y - 1 : y + 2, x - 1 : x + 2]
         if (here == here[1, 1]).all():
-            wrong += seen(recipe, (x, y)) != here[1, 1]
+            wrong += seen(recipe, polygons, (x, y)) != here[1, 1]
     return wrong
 
 
-def seen(recipe, q):
-    """Group index + 1 of the nearest polygon at pixel q, or 0: the slow clear way."""
-    R, t = recipe.T_cam_world[:3, :3], recipe.T_cam_world[:3, 3]
-    eye, d = -R.T @ t, R.T @ np.linalg.solve(recipe.K, [*q, 1.0])
-    best, group = np.inf, 0
+def planes(recipe):
+    """[(corners (n, 3), edges (n, 3), normal (3,), group index + 1)] of its polygons."""
+    found = []
     for p in recipe.polygons:
         edges = np.roll(p.points, -1, 0) - p.points
-        n = np.cross(edges, np.roll(edges, -1, 0)).sum(0)
+        normal = np.cross(edges, np.roll(edges, -1, 0)).sum(0)
+        found.append((p.points, edges, normal, recipe.groups.index(p.group) + 1))
+    return found
+
+
+def seen(recipe, polygons, q):
+    """Group index + 1 of the nearest of its polygons (`planes`) at pixel q, or 0: the slow clear way."""
+    R, t = recipe.T_cam_world[:3, :3], recipe.T_cam_world[:3, 3]
+    eye, d = -R.T @ t, R.T @ np.linalg.solve(recipe.K, [*q, 1.0])
+    best, nearest = np.inf, 0
+    for points, edges, n, group in polygons:
         if n @ d == 0:
             continue
-        s = n @ (p.points[0] - eye) / (n @ d)
-        if 1e-9 < s < best and (np.cross(edges, eye + s * d - p.points) @ n >= 0).all():
-            best, group = s, recipe.groups.index(p.group) + 1
-    return group
+        s = n @ (points[0] - eye) / (n @ d)
+        if 1e-9 < s < best and (np.cross(edges, eye + s * d - points) @ n >= 0).all():
+            best, nearest = s, group
+    return nearest

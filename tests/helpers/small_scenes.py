@@ -3,7 +3,6 @@
 Surfaces of a few polygons, and elements that look into them.
 """
 
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +13,7 @@ from lib.light import chains as chains_
 from lib.light import factors_file, form_factors, specular
 from lib.light import lamps as lamps_
 from lib.light import surface as surfaces
-from tests.helpers import rooms
+from tests.helpers import rooms, stages
 
 
 def rectangle(at, a, b):
@@ -296,19 +295,6 @@ class Studio:
 
         self.write(photograph)
         lamps = {name: [float(x) for x in np.atleast_1d(e)] for name, e in zip(self.lamps, E, strict=True)}
-        stage = fit_stage()
+        stage = stages.module("fit")
         stage.main(stage.options().parse_args(self.words(photograph.linear, lamps=lamps, **facts)))
         return tuple(json.loads((self.folder / name).read_text()) for name in ("materials.json", "fit.report.json"))
-
-
-def fit_stage():
-    """stages/fit.py as a module: its work without a new interpreter."""
-    import importlib.util
-    from pathlib import Path
-
-    spec = importlib.util.spec_from_file_location("stages_fit", Path(__file__).resolve().parents[2] / "stages/fit.py")
-    module = importlib.util.module_from_spec(spec)
-    before = sys.path[:]
-    spec.loader.exec_module(module)
-    sys.path[:] = before
-    return module

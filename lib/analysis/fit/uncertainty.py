@@ -32,7 +32,7 @@ LEAST = 0.02  # smaller values are as unsure as this one, relative to it
 
 def uncertainty(problem: Problem, at: Equations, result: Result):
     """Write sigma of all parameters, their shares by cause and the misfit into result, found at `at`."""
-    normal = _Normal(problem, at)
+    normal = NormalEquations.of(problem, at)
     cov = normal.sandwich()
     independent, common = _tile_errors(problem, at, result), _common_errors(problem, at, normal)
     for error in independent:
@@ -69,7 +69,7 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
 
 def widen(problem: Problem, result: Result, terms: CauseTerms):
     """Every sigma that a fit found holds what numbers leave that are not fitted, too."""
-    at, normal = result.at, _Normal(problem, result.at)
+    at, normal = result.at, NormalEquations.of(problem, result.at)
     size = np.sqrt(np.maximum(np.diag(normal.beside(terms)), 0))
     ends = (0, *at.layout.ends)
     for k, name in enumerate(("rho", "E", "rho_s")):
@@ -103,18 +103,28 @@ def _at_least(cov, other):
     return cov * np.outer(wider, wider)
 
 
-class _Normal:
-    """The normal equations at the end of a fit."""
+class NormalEquations:
+    """The normal equations of a least-squares problem at its end.
 
-    def __init__(self, problem, at):
-        self.at, self.channels, self.n = at, problem.channels, at.layout.size
-        self.theta = at.layout.pack(at.state)
-        self.J = at.jacobian
-        self.weight = weights(problem, at.residual).reshape(-1)
-        self.prior = at.prior()[1]
-        self.pixel = np.repeat(problem.tile_noise, problem.channels)
-        self.H = self.J.T @ (self.weight[:, None] * self.J) + self.prior
+    J : (T C, n) derivatives of the tiles' residuals;  residual, weight : (T C,), a weight is one over a variance
+    channels : C;  prior : (n, n) of the parameters;  theta : (n,) what they are
+    """
+
+    def __init__(self, J, residual, weight, channels=1, prior=None, theta=None):
+        self.J, self.residual, self.weight, self.channels, self.n = J, residual, weight, channels, J.shape[1]
+        self.prior = np.zeros((self.n, self.n)) if prior is None else prior
+        self.H = J.T @ (weight[:, None] * J) + self.prior
+        self.theta = np.zeros(self.n) if theta is None else theta
         self.inverse, self.loose = _inverse(self.H, self.theta)
+        self.at = self.pixel = None  # of a fit: what its sandwich and pushes need beyond the matrices
+
+    @classmethod
+    def of(cls, problem, at):
+        """Those of a fit."""
+        residual, weight = at.residual.reshape(-1), weights(problem, at.residual).reshape(-1)
+        normal = cls(at.jacobian, residual, weight, problem.channels, at.prior()[1], at.layout.pack(at.state))
+        normal.at, normal.pixel = at, np.repeat(problem.tile_noise, problem.channels)
+        return normal
 
     def _by_tile(self, rows):
         """(T C, n) -> (T, n): the channels of one tile go together."""
@@ -122,7 +132,7 @@ class _Normal:
 
     def sandwich(self):
         """Covariance (n, n) from the tiles' own residuals and their pixel noise."""
-        score = self._by_tile((self.weight * self.at.residual.reshape(-1))[:, None] * self.J)
+        score = self._by_tile((self.weight * self.residual)[:, None] * self.J)
         if len(score):  # neighbours err together where it is the model that errs: runs of them, not tiles
             run = self.at.problem.tile_group * FOLDS + folds(self.at.problem)
             order = np.argsort(run, kind="stable")
@@ -148,7 +158,7 @@ class _Normal:
         left = C - self.J @ along  # in a valley the fit need not have come to its very floor: that is not of C
         weighted = self.weight[:, None] * left
         known = left.T @ weighted + along.T @ self.prior @ along + np.diag(1 / terms.spread**2)
-        pull = weighted * self.at.residual.reshape(-1, 1)
+        pull = weighted * self.residual[:, None]
         number = np.linalg.solve(known, pull.sum(axis=0))
         size = np.linalg.inv(known) + np.outer(number, number)
         for rows in () if group is None else (np.repeat(group == g, self.channels) for g in np.unique(group)):
@@ -173,7 +183,7 @@ class _Normal:
         for tiles in (group == g for g in np.unique(group)):
             rows = np.repeat(tiles, self.channels)
             J, weighted = self.J[rows], self.weight[rows, None] * self.J[rows]
-            step = steady(self.H - J.T @ weighted, weighted.T @ self.at.residual.reshape(-1)[rows], self.H)
+            step = steady(self.H - J.T @ weighted, weighted.T @ self.residual[rows], self.H)
             moved.append(follow @ step[own])
         return np.transpose(moved) @ np.array(moved)
 
