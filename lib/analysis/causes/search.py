@@ -23,6 +23,7 @@ from lib.analysis.fit.problem import CauseTerms, Problem
 # Of the most that a cause promises: another that promises as much is fitted beside it. In 16 rooms with one thing wrong
 # the others promised .35 at most.
 NEARLY = 0.5
+TIE = 2.0  # standard errors over groups, by which one explanation must lead another, or it is said to be a tie
 
 
 def as_given(problem: Problem, **options) -> Explained:
@@ -103,8 +104,7 @@ def climbed(best: Candidate, scope: Scope):
             better = {name: c for name, c in better.items() if c is simple or c.evidence.nats >= least}
         chosen = max(better, key=lambda name: better[name].evidence.nats, default=None)
         for name, c in candidates.items():
-            said = "taken" if name == chosen else "bends to something else" if not physical[name] else "no better"
-            said = f"less than {chosen}" if name in better and name != chosen else said
+            said = _decided(name, chosen, physical[name], {n: better[n] for n in better if n in (name, chosen)})
             scope.asked.append(Question.of(name, best, promised.get(name), c, said))
         if chosen is None:
             continue
@@ -113,6 +113,16 @@ def climbed(best: Candidate, scope: Scope):
         best, tried = better[chosen], {t.cause for t in taken}
         functions = functions if found[chosen].rivals else ()
     return best, taken, functions
+
+
+def _decided(name, chosen, is_physical, better) -> str:
+    """In words. better : {name: Candidate} of this one and the chosen one, as far as they are better than before"""
+    if name == chosen:
+        return "taken"
+    if name in better:
+        tied = better[chosen].over(better[name]).z < TIE
+        return f"a tie with {chosen}, which has more nats" if tied else f"less than {chosen}"
+    return "no better" if is_physical else "bends to something else"
 
 
 def _to_be_fitted(best: Candidate, causes, promised, tried) -> set:
