@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lib.analysis.answer import inversion
+from lib.analysis.answer import disagreements
 from lib.analysis.causes import candidates, told_lamps, vignetting
 from lib.analysis.causes.candidates import Candidate
 from lib.analysis.fit import evidence, misfits
@@ -57,7 +57,7 @@ def test_more_numbers_must_bring_more():
     """As many more as they are; of as many numbers, what a cause usually has."""
     problem = SimpleNamespace(tile_group=np.zeros(500))
     simple = SimpleNamespace(complexity=3, evidence=SimpleNamespace(nats=0.0), problem=problem)
-    for complexity, more in ((3, candidates.USUAL), (2, candidates.USUAL), (5, 2)):
+    for complexity, more in ((3, candidates.USUAL_NUMBERS), (2, candidates.USUAL_NUMBERS), (5, 2)):
         least = candidates.enough(problem, more)
         for nats, worth in ((least - 0.1, False), (least + 0.1, True)):
             other = SimpleNamespace(complexity=complexity, evidence=SimpleNamespace(nats=nats), problem=problem)
@@ -120,7 +120,7 @@ def test_lenses_darken_edges_by_what_they_are_expected_to():
     lost = [
         1 - (1 + t) ** -m * (1 - cut) for t in (0.1, 0.3, 0.5, 0.7, 0.9) for m in (1, 1.5, 2) for cut in (0, 0.2, 0.4)
     ]
-    assert expected == pytest.approx(vignetting.WIDE * np.sqrt(np.mean(np.square(lost))), rel=0.05)
+    assert expected == pytest.approx(vignetting.TIMES_USUAL * np.sqrt(np.mean(np.square(lost))), rel=0.05)
     assert vignetting.sigma(np.eye(vignetting.TERMS)) == pytest.approx(np.linalg.norm(numbers, axis=0))
 
 
@@ -182,7 +182,7 @@ def test_a_group_that_stands_out_by_far_is_looked_at_more_closely(excess, keen):
 def test_light_that_mirrors_throw_is_no_thing(before, after, thrown):
     of = lambda values: {g: misfits.Misfit(e, e, 0.002, 79, 0.026) for g, e in enumerate(values)}
     answer = SimpleNamespace(judged=of(before), climb=SimpleNamespace(misfits=of(after)))
-    assert inversion._is_thrown(SimpleNamespace(behind=[0, 1]), answer) == thrown
+    assert disagreements.is_thrown(SimpleNamespace(behind=[0, 1]), answer) == thrown
 
 
 @pytest.mark.parametrize("nats, promise, doubted", [(0.0, 500.0, True), (-500.0, 500.0, False), (0.0, 0.0, False)])

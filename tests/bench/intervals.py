@@ -91,6 +91,7 @@ def photographs(linear, how, seeds):
 def under_noise(kind, seeds):
     """Rows (quantity, values, spread / noise sigma pooled, least, largest, share of means within 2 sigma)."""
     from lib.analysis.causes import explain
+    from lib.analysis.causes.scope import Scope
     from lib.analysis.fit import facts
     from lib.analysis.seen import gather
     from lib.buffers import trust
@@ -117,8 +118,8 @@ def under_noise(kind, seeds):
     for shot in photographs(linear, how, seeds):
         seen = replace(found, pixels=shot.values.reshape(-1, shot.values.shape[2])[found.tiles.pixel])
         problem = facts.problem_of(made.factors, seen, lamps=lamps, reference=reference, transfer=None)
-        leave = explain.Leave(response=False, causes=())  # one explanation: others have other numbers
-        result = explain.explain(problem, leave, gamma=GAMMA, max_iterations=100).result
+        scope = Scope(response=False, allowed=())  # one explanation: others have other numbers
+        result = explain.explain(problem, scope, gamma=GAMMA, max_iterations=100).result
         layout = result.at.layout
         names = [("rho", g, c) for g, c in layout.rho] + [("lamp", k, c) for k, c in layout.E] + [("gamma", 0, 0)]
         values.append(layout.pack(result.state))

@@ -14,9 +14,9 @@ from lib.analysis.seen.gather import Gathered
 from lib.analysis.seen.receivers import Receivers, unplaced
 from lib.light.form_factors import FormFactorRows
 
-MUCH = 0.05  # of the light that comes to a tile, by form factors
-LEFT = 0.25  # of the energy of all groups that differed which may be left where a lamp is what was wrong
-ALMOST_ALL = 0.7  # of the energy of all groups: one that has as much may be what is wrong with the others, too
+LOOKS_AT = 0.05  # A tile looks at a lamp if so much of its light, by form factors, comes from there.
+LEFT_BY_LAMP = 0.25  # A lamp was what was wrong if at most so much of the energy of all groups that differed is left.
+ALMOST_ALL = 0.7  # A group with so much of the energy of all may be what is wrong with the others, too.
 
 
 class Energy(NamedTuple):
@@ -37,7 +37,7 @@ class Energy(NamedTuple):
 
         Where the light of a mirror was taken for a lamp's, the mirror's own pixels still differ by far more.
         """
-        return other.flagged <= max(LEFT * self.flagged, self.all - other.all)
+        return other.flagged <= max(LEFT_BY_LAMP * self.flagged, self.all - other.all)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,4 +107,4 @@ class Audit:
 
 def looking_at(rows: FormFactorRows, group, patch_group) -> np.ndarray:
     """(T,) bool: much of what these tiles look at is the group (number). patch_group : (N,), of FormFactors"""
-    return rows.matrix()[:, patch_group == group].sum(axis=1) > MUCH
+    return rows.matrix()[:, patch_group == group].sum(axis=1) > LOOKS_AT

@@ -13,9 +13,9 @@ import numpy as np
 from lib.analysis.answer.task import Task
 from lib.analysis.causes.candidates import enough
 
-MOSTLY = 0.9  # of a group's pixels
-COUNTED = 0.002  # of the picture: what is smaller throws little light
-MOST = 3  # groups that are tried as mirrors, the largest first
+MOSTLY_BLACK = 0.9  # A group is black if so much of its pixels is.
+LEAST_SHARE = 0.002  # A smaller share of the picture throws little light.
+MOST_TRIED = 3  # Groups that are tried as mirrors, the largest first.
 
 
 def groups(task: Task) -> list:
@@ -28,8 +28,8 @@ def groups(task: Task) -> list:
     view = task.view()
     counted = np.where(view.facet >= 0, np.asarray(view.model.facet_group)[view.facet], -1)
     black = view.photograph.black
-    share = {g: black[counted == g].mean() for g in dark if (counted == g).mean() >= COUNTED}
-    found = [g for g, part in share.items() if part >= MOSTLY]
+    share = {g: black[counted == g].mean() for g in dark if (counted == g).mean() >= LEAST_SHARE}
+    found = [g for g, part in share.items() if part >= MOSTLY_BLACK]
     return sorted(found, key=lambda g: -visible[g])
 
 
@@ -41,7 +41,7 @@ def solved(task: Task, dark, solve):
     black = np.isin(np.arange(len(task.problem.groups)), dark)
     surfaces = task.surfaces
     best = solve(_with(task, black, surfaces))
-    for g in dark[:MOST]:
+    for g in dark[:MOST_TRIED]:
         if best.refined is not None:
             break  # all is made again
         name = task.problem.groups[g]

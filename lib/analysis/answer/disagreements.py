@@ -18,14 +18,16 @@ from lib.analysis.seen.gather import Gathered, out_of_range
 from lib.given import jpeg
 from lib.given.materials import Why
 
-ON_BOUNDS = 1 / 3  # share of the groups whose reflectance is 0 or 1, from which nothing found is believed
-# of what free lamps promise: cameras that mix colours promised .5 to 2.7, lamps of another colour .01 to .32
-MIXES = 0.4
-# times the error that another transfer function leaves beside lobes: so much it must change. A false one changed 1.2;
-# where it leaves no error, anything it changes is more
-DISTINCT = 2.0
-NOTHING = 0.0015  # display, that a group is off by where no thing stands before it: the least would leave .002
-THROWN = 0.3  # of what a group was off by, that mirrors' light leaves where that is all that looked like a thing
+ON_BOUNDS = 1 / 3  # Nothing found is believed if so many of the groups' reflectances are 0 or 1.
+# Lamps of another colour are not named if a camera that mixes colours promises so much of what free lamps do. Cameras
+# that mix promised .5 to 2.7 of it, lamps of another colour .01 to .32.
+MIXES_FROM = 0.4
+# Beside lobes, another transfer function must change so many times the error that it leaves. A false one changed 1.2
+# times; where it leaves no error, anything is more.
+DISTINCT_FROM = 2.0
+NOTHING_BELOW = 0.0015  # Display. No thing stands before a group that is off by less: the least would leave .002.
+# What looked like a thing was mirrors' light if that leaves less than so much of what the group was off by.
+THROWN_BELOW = 0.3
 
 
 def disagreements(problem: Problem, result: Result, found: Gathered, asked, rivals) -> list[Why]:
@@ -127,7 +129,7 @@ def reasons(task, answer: Answer, edges, things=None):
 
 def _mixes_colours(answer, nats) -> bool:
     """In the light of what has climbed the camera explains much of what lamps of another colour do: sigma has both."""
-    return colour_mixing.may(answer.candidate) and ColourMixing().promise(answer.candidate) > MIXES * nats
+    return colour_mixing.may(answer.candidate) and ColourMixing().promise(answer.candidate) > MIXES_FROM * nats
 
 
 def rivals(answer) -> dict:
@@ -144,7 +146,7 @@ def rivals(answer) -> dict:
     if promised >= enough(found.problem):
         return rivals
     others = response.fitted(found) if promised > 0 else []
-    tells = [c for c in others if c.off(found) > DISTINCT * c.evidence.discrepancy]
+    tells = [c for c in others if c.off(found) > DISTINCT_FROM * c.evidence.discrepancy]
     return {c.kind: c.evidence.nats - found.evidence.nats for c in tells}
 
 
@@ -165,7 +167,7 @@ def _strange(task, answer, is_wrong, things):
     if not is_wrong:
         things = [t for t in things if not (t.is_of_print and climbed.get(t.behind[0]) == "textured")]
     if climb is not None and climb.result.fits:
-        things = [t for t in things if not _is_thrown(t, answer)]
+        things = [t for t in things if not is_thrown(t, answer)]
     return [
         *strangers.said(things, explained.problem.groups),
         *(
@@ -175,11 +177,11 @@ def _strange(task, answer, is_wrong, things):
     ]
 
 
-def _is_thrown(thing, answer) -> bool:
+def is_thrown(thing, answer) -> bool:
     """It is light that mirrors or lobes throw: under it nothing is left of what the groups behind were off by."""
     before, now = answer.judged, answer.climb.misfits
     left = lambda g: now[g].excess if g in now else np.inf
-    return all(g in before and left(g) < max(THROWN * before[g].excess, NOTHING) for g in thing.behind[:2])
+    return all(g in before and left(g) < max(THROWN_BELOW * before[g].excess, NOTHING_BELOW) for g in thing.behind[:2])
 
 
 def things_in_doubt(task, answer) -> list:

@@ -28,12 +28,17 @@ from lib.analysis.materials.climbing import SPECULAR
 if TYPE_CHECKING:
     from lib.analysis.materials.ascent import Ascent
 
-IN_DOUBT = 0.6  # times as far a group must stand out where the picture does not fit: something is wrong there anyway
-EVERYWHERE, SEVERAL = 0.75, 3  # share and number of groups that differ, from which no material is looked for
-NEAR = 3.0  # times what the median tile is off by beside causes: one that bent to a lobe left 1.8, right ones 13 to 16
-HALF = 0.5  # of what groups are off by, that a climb leaves at most where it is right about most
-SETTLES = 0.65  # of what neighbouring tiles have in common, that one group may leave: right ones .56, false ones .7
-JUST = 0.99  # of what a group is off by, that it may not keep
+# Where the picture does not fit, a group stands out at so much of the usual bound: something is wrong there anyway.
+KEENER_BY = 0.6
+EVERYWHERE, SEVERAL = 0.75, 3  # No material is looked for if such a share and number of groups differ.
+# Causes did not bend to a lobe if the median tile is off by so many times as much without them. One that bent left
+# 1.8 times, right ones 13 to 16.
+NO_LOBE_FROM = 3.0
+RIGHT_ABOUT_MOST = 0.5  # A climb is right about most if it leaves at most so much of what groups were off by.
+# One group that climbed may leave so much of what neighbouring tiles have in common. Right ones left .56, false ones
+# .7.
+LEFT_BY_ONE = 0.65
+JUST_BELOW = 0.99  # The threshold at which one group alone climbs, in what it is off by.
 
 
 def materials(task, explained, audit, judged, report, scope) -> Answer:
@@ -43,7 +48,7 @@ def materials(task, explained, audit, judged, report, scope) -> Answer:
         task, of_groups(task, explained, *looked, **how), report, scope
     )
     flagged = audit.flagged(explained.problem, judged)
-    times = misfits.STANDS_OUT * (1.0 if explained.result.fits else IN_DOUBT)
+    times = misfits.STANDS_OUT * (1.0 if explained.result.fits else KEENER_BY)
     if not flagged and not explained.taken and (keen := misfits.keener(judged, task.threshold, times)):
         keener = replace(audit, threshold=keen)
         answer = of_groups(replace(task, threshold=keen), explained, keener, judged)
@@ -81,7 +86,7 @@ def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
     if misfits.apart(explained.problem, explained.result) is None:
         return None
     ways = [(explained, audit, judged)]
-    is_near = explained.given.typical < NEAR * explained.best.typical  # else all is off without the causes
+    is_near = explained.given.typical < NO_LOBE_FROM * explained.best.typical  # else all is off without the causes
     if explained.taken and not explained.lobes and is_near:
         bare = explained.without_causes(**task.options)
         ways.insert(0, (bare, *looked(task, bare)))
@@ -90,10 +95,10 @@ def _one_apart(task, explained, audit, judged, of_groups) -> Answer | None:
         off = judged[group] if group in judged and audit.given.get(group) is None else None
         if off is None or not off.judged or not off.excess:
             continue
-        keen = min(JUST * off.excess / misfits.tolerance(off, 1.0), task.threshold)
+        keen = min(JUST_BELOW * off.excess / misfits.tolerance(off, 1.0), task.threshold)
         answer = of_groups(replace(task, threshold=keen), found, audit, judged, only=group)
         left = answer.result.correlated
-        if _has_mirrors(answer) and left <= SETTLES * found.result.correlated and answer.result.fits:
+        if _has_mirrors(answer) and left <= LEFT_BY_ONE * found.result.correlated and answer.result.fits:
             return answer
     return None
 
@@ -219,7 +224,7 @@ def _of_groups(task, explained, audit, judged, report, scope, only=None, **how) 
         answer.dropped = climb
         if explained.result.fits:
             audit.doubt(explained.problem, explained.result, judged)
-            if climb.on(*SPECULAR) and misfits.energy(climb.misfits) < HALF * misfits.energy(judged):
+            if climb.on(*SPECULAR) and misfits.energy(climb.misfits) < RIGHT_ABOUT_MOST * misfits.energy(judged):
                 # a mirror explains most, and then something else is seen to be wrong: the diffuse fit fits no better
                 explained.result.correlated = climb.result.correlated
         return answer  # what is wrong is not one material: nothing is made up from it

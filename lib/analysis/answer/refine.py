@@ -28,9 +28,13 @@ from lib.given.model.mesh import Model
 from lib.given.view import View
 from lib.light.factors_file import FormFactors
 
-LAMP_PLACE_M = 0.1  # standard deviation of a lamp's place
-SURELY = 3.0  # sigma from where it is drawn, at least: what a tone curve left brought 39 nats for a lamp at 1.5
-MORE = 4  # times what one step promises, that a lamp's place may bring at most: displaced ones bring .8 to 1.3 times
+LAMP_PLACE_M = 0.1  # Standard deviation of a lamp's place.
+# A lamp stands elsewhere if it ends so many sigma from where it is drawn. What a tone curve left brought 39 nats for
+# a lamp at 1.5.
+LEAST_SIGMAS = 3.0
+MOST_OF_PROMISE = (
+    4  # A lamp's place brings at most so many times what one step promises. Displaced ones brought .8 to 1.3 times.
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +125,7 @@ def _most_promising(base: Candidate, lamps, sigma_m, least, above):
     promise = lambda base: {lamp: LampPlace(lamps, lamp, prior(lamp)).promise(base) for lamp in lamps.things}
     promises = base.once(LampPlace.name, promise)
     lamp = max(promises, key=promises.get, default=None)
-    too_little = lamp is None or promises[lamp] < max(enough(base.problem), above, least / MORE)
+    too_little = lamp is None or promises[lamp] < max(enough(base.problem), above, least / MOST_OF_PROMISE)
     return None if too_little else lamp
 
 
@@ -166,7 +170,7 @@ def _elsewhere(explained: Explained, base: Candidate, lamps, audit, sigma_m, lea
 def is_elsewhere(step, covariance) -> bool:
     """A step (n,) of this covariance is one, not what is left of something else. Evidence alone does not tell: where
     much is left, a step within its sigma brings nats, too."""
-    return bool(step @ np.linalg.solve(covariance, step) >= SURELY**2)
+    return bool(step @ np.linalg.solve(covariance, step) >= LEAST_SIGMAS**2)
 
 
 def _moved(explained: Explained, base: Candidate, lamps, lamp, prior_m) -> Candidate | None:

@@ -23,7 +23,7 @@ from lib.analysis.causes.explained import Explained
 from lib.analysis.causes.lamp_lobe import LampLobe
 from lib.analysis.causes.questions import Question
 
-FACES_AWAY = 0.005  # display, median of tiles: lamps that face away were .0145 off and more
+FACES_AWAY_FROM = 0.005  # Display, median of the tiles. Lamps that face away were .0145 off and more.
 # question: what `why` names it
 NAMED = {told_lamps.NAME: ("lamp_power", "lamp_colour", "lamp_flipped"), one_object.NAME: ("group_wrong",)}
 
@@ -51,12 +51,12 @@ def _at_once(task, first, scope, may_move, edges) -> Answer | None:
     rough = Explained(first.problem, first.result, "", given=first)
     given = functools.cache(lambda: rough.without_causes(**task.options))
     seen = functools.cache(lambda: answered(given(), *looked(task, given())))
-    hopeless = first.typical >= gammas.HOPELESS
+    hopeless = first.typical >= gammas.HOPELESS_FROM
     if hopeless and (why := _flipped(task, rough)):
         return named(task, given(), why)
     promised = search.promises(first, scope)
     most = max(promised.values())
-    may_face_away = not hopeless and first.typical >= FACES_AWAY and promised.get(told_lamps.NAME) == most
+    may_face_away = not hopeless and first.typical >= FACES_AWAY_FROM and promised.get(told_lamps.NAME) == most
     if may_face_away and (why := _flipped(task, rough)):
         return named(task, given(), why)
     if why := _references_told_wrong(task, first, scope, most):
@@ -117,7 +117,7 @@ def _lamps_told_wrong(task, first, scope, promised, given) -> list:
     why = told_lamps.lamps_of(first.problem, other.result, free.evidence.nats - first.evidence.nats)
     if (
         any(w.cause == "lamp_colour" for w in why)
-        and promised.get(ColourMixing.name, 0) > disagreements.MIXES * promised[told_lamps.NAME]
+        and promised.get(ColourMixing.name, 0) > disagreements.MIXES_FROM * promised[told_lamps.NAME]
     ):
         return []  # the camera may mix colours: told lamps are not wrong for that
     return why if why and _suffices_alone(task, given(), other) else []

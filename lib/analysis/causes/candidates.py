@@ -17,8 +17,10 @@ from lib.analysis.fit.problem import Problem, Result
 NATS = 10.0
 NATS_PER_TILE = 0.02 / 9
 MIXING = 6  # free numbers of a camera that mixes colours
-HARDLY = 1.05  # times another's typical residual: right ones without a free number had up to 1.03
-USUAL = 3  # free numbers that an explanation has more
+# An explanation with fewer free numbers wins if its typical residual is at most so many times the other's. Right ones
+# without a free number had up to 1.03.
+ABOUT_AS_GOOD = 1.05
+USUAL_NUMBERS = 3  # Free numbers that a cause has if it does not say how many.
 ROUGH = {"tolerance": 1e-3, "max_iterations": 60}  # of fits that are only compared; valleys of white rooms are long
 
 
@@ -89,15 +91,15 @@ class Candidate:
 
     def beats(self, other: Candidate) -> bool:
         """By enough, and the typical tile is no worse; of what has fewer free numbers, hardly worse."""
-        more = HARDLY if self.complexity < other.complexity else 1.0
+        more = ABOUT_AS_GOOD if self.complexity < other.complexity else 1.0
         return self.is_worth(other) and self.typical <= more * other.typical
 
     def is_worth(self, other: Candidate) -> bool:
         """It beats the other by enough, as many free numbers as it has more."""
-        more = max(self.complexity - other.complexity, 0) or USUAL
+        more = max(self.complexity - other.complexity, 0) or USUAL_NUMBERS
         return self.evidence.nats - other.evidence.nats >= enough(other.problem, more)
 
 
-def enough(problem: Problem, more=USUAL) -> float:
+def enough(problem: Problem, more=USUAL_NUMBERS) -> float:
     """Nats that an explanation must bring that has `more` free numbers."""
     return NATS + NATS_PER_TILE * more**2 * len(problem.tile_group)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lib.analysis.causes.candidates import USUAL, Candidate
+from lib.analysis.causes.candidates import USUAL_NUMBERS, Candidate
 from lib.analysis.causes.scope import Scope
 from lib.analysis.fit.equations import Equations, Layout, Unknowns
 from lib.analysis.fit.evidence import evidence, promised
@@ -71,7 +71,7 @@ class Cause:
     """
 
     name = ""
-    free = USUAL
+    free = USUAL_NUMBERS
     stands_back = False
     is_linearised = True
     before_gammas = False  # where it promises more than another response does, no other gamma is looked for

@@ -15,10 +15,15 @@ from lib.analysis.causes.scope import Scope
 from lib.analysis.fit.evidence import as_others_have_it, gain, promised
 from lib.analysis.fit.problem import CauseTerms, Problem, Result
 
-SPREAD = 0.1  # standard deviation of each number beside the diagonal before anything is seen
-MOST = 0.6  # of a number off the unit matrix: sensors' own colours are .1 to .5 off, vivid picture styles .1 to .3
-SEVERAL = 0.55  # of what mixing promises that other groups gain than the one that gains most
-HOLDS = 0.35  # of what a group gains by mixing that it gains by the others' mixing: .46 to 1 in rooms that were mixed
+OFF_DIAGONAL = 0.1  # Standard deviation of each number beside the diagonal, before anything is seen.
+# A number of M may be off the unit matrix by so much. Sensors' own colours are .1 to .5 off, vivid picture styles .1
+# to .3.
+MOST_MIXING = 0.6
+# All other groups must gain so much of what mixing promises, or the group that gains most is left out of the promise.
+BY_OTHER_GROUPS = 0.55
+# A group must keep so much of its gain if the others alone say how colours mix. In rooms that were mixed it kept .46
+# to 1.
+KEPT_BY_OTHERS = 0.35
 OFF = [(c, j) for c in range(3) for j in range(3) if j != c]
 OFF_AT = tuple(np.transpose(OFF))
 STEPS = np.zeros((3, 3, MIXING))  # D = STEPS @ its numbers beside the diagonal
@@ -50,7 +55,7 @@ class ColourMixing(Cause):
         for k, (c, j) in enumerate(OFF):
             columns[:, c, k] = at.slope[:, c] * (B[:, j] - B[:, c])
         return CauseTerms(
-            (self.name,) * MIXING, columns, np.full(MIXING, SPREAD), -np.array(values or np.eye(3))[OFF_AT]
+            (self.name,) * MIXING, columns, np.full(MIXING, OFF_DIAGONAL), -np.array(values or np.eye(3))[OFF_AT]
         )
 
     def moved(self, values, step):
@@ -62,7 +67,7 @@ class ColourMixing(Cause):
     def one_step(self, found: Candidate) -> float:
         """Of all groups but one if that gains most: its light or its material may be what is wrong."""
         total, others = _step(found)
-        return total if others >= max(NATS, SEVERAL * total) else others
+        return total if others >= max(NATS, BY_OTHER_GROUPS * total) else others
 
     def is_physical(self, fitted: Candidate, before: Candidate) -> bool:
         """It mixes colours of all groups in one way, and no more than cameras do: else something else bent to it.
@@ -76,7 +81,7 @@ class ColourMixing(Cause):
         own = at.layout.responding.stop + np.flatnonzero(problem.cause.of(self.name))
         without, by_itself = before.evidence.on(most).nats, fitted.evidence.on(most).nats
         by_others = as_others_have_it(problem, at, own, most).nats
-        return is_a_cameras(fitted) and by_others - without >= max(HOLDS * (by_itself - without), 0)
+        return is_a_cameras(fitted) and by_others - without >= max(KEPT_BY_OTHERS * (by_itself - without), 0)
 
     def says(self, values, problem, result):
         sigma = None
@@ -114,7 +119,7 @@ def is_a_cameras(mixed: Candidate) -> bool:
     """A camera and its screen mix colours no more than this."""
     own = mixed.problem.cause.of(ColourMixing.name)
     M = stepped(mixed.result.state.transfer.matrix, mixed.result.state.cause[own])
-    return bool(np.abs(M - np.eye(3)).max() <= MOST)
+    return bool(np.abs(M - np.eye(3)).max() <= MOST_MIXING)
 
 
 def found_in(problem: Problem, result: Result):

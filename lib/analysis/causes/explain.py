@@ -16,9 +16,15 @@ from lib.analysis.fit.gauss_newton import fit
 from lib.analysis.fit.problem import Problem
 from lib.given.materials import Why
 
-ALMOST = 0.5  # of what is enough, from which told lamps are set free beside causes: right ones promise .1 at most
-ALONE = 0.5  # of what a cause brings, that lamps alone promise at least where they are wrong: .8 to 1; right ones .34
-LIGHT_KNOWN_TO = 3e-4  # display: right lamps that were set free changed a white room by 2.1e-4, ones 3 % off by 5.2e-4
+# Told lamps are set free beside causes once one step promises so much of what suffices. In rooms whose lamps were
+# told rightly it promised at most a tenth.
+FREE_LAMPS_FROM = 0.5
+# Told lamps are tried in place of a cause if they promise so much of what it brings. Wrong lamps promised .8 to 1 of
+# it, right ones .34.
+LAMPS_ALONE_FROM = 0.5
+# Display. Free lamps that change the picture by less are no others. In a white room right lamps changed it by 2.1e-4,
+# lamps 3 % off by 5.2e-4.
+LIGHT_KNOWN_TO = 3e-4
 
 
 def explain(problem: Problem, scope: Scope, **options) -> Explained:
@@ -119,7 +125,7 @@ def _with_free_lamps(found: Explained, scope: Scope):
     given, best = found.given, found.best
     problem, least = told_lamps.freed(given.problem), best.evidence.nats - enough(given.problem)
     alone = promise_of_lamps(given)
-    if len(found.taken) > 1 or alone >= ALONE * (best.evidence.nats - given.evidence.nats):
+    if len(found.taken) > 1 or alone >= LAMPS_ALONE_FROM * (best.evidence.nats - given.evidence.nats):
         first = with_lamps_freed(given)
         if len(found.taken) > 1 or first.evidence.nats >= least:
             return climbed(first, scope)[:2]
@@ -127,6 +133,6 @@ def _with_free_lamps(found: Explained, scope: Scope):
         simple = response.under_srgb(Candidate(problem, given.result, given.evidence))
         if simple.evidence.nats >= least:
             return simple, []
-    if promise_of_lamps(best) < ALMOST * _enough_of_lamps(problem):
+    if promise_of_lamps(best) < FREE_LAMPS_FROM * _enough_of_lamps(problem):
         return best, found.taken
     return with_lamps_freed(best), found.taken

@@ -14,7 +14,7 @@ from lib.analysis.fit.problem import Problem, Result
 from lib.analysis.seen.gather import Gathered
 from lib.given.view import View
 
-SURE_PER_TILE = 0.1  # nats that causes must bring where a mirror or a lobe may be what is wrong
+SURE_PER_TILE = 0.1  # Nats per tile that causes must bring where a mirror or a lobe may be what is wrong.
 
 
 @dataclass(frozen=True)

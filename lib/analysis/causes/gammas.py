@@ -10,28 +10,32 @@ from lib.analysis.causes.candidates import Candidate, enough
 from lib.analysis.fit.facts import USUAL_GAMMA
 
 STARTS = (1.2, 1.8, 3.0)  # other gammas to begin at
-FAR_GAMMA = 4.0  # beyond it other starts are tried whatever is left to explain
-SAME = 0.01  # gammas that differ by less are of one minimum
-LOST = 0.045  # display, median of the tiles: gammas that ran away left .025, a lamp turned round .067
-HOPELESS = 0.015  # display, median of the tiles: no other start of gamma explains what is so far off
-STUCK = 0.05  # of what a cause has brought: right ones leave .03, one beside a gamma of 5.6 for 2.2 leaves .17
+FAR_GAMMA = 4.0  # Beyond this gamma other starts are tried, whatever is left to explain.
+SAME_GAMMA = 0.01  # Gammas that differ by less are of one minimum.
+LOST_FROM = (
+    0.045  # Display, median of the tiles. A gamma that ran away leaves less (.025), a lamp turned round more (.067).
+)
+HOPELESS_FROM = 0.015  # Display, median of the tiles. No other start of gamma explains what is so far off.
+# Another gamma is tried if a curve still promises so much of what the cause brought. Right ones leave .03; one beside
+# a gamma of 5.6 for 2.2 leaves .17.
+STUCK_FROM = 0.05
 
 
 def searched(found: Candidate) -> bool:
     """Another start may find another gamma."""
-    return found.problem.fit_transfer and found.kind == "gamma" and found.typical < HOPELESS
+    return found.problem.fit_transfer and found.kind == "gamma" and found.typical < HOPELESS_FROM
 
 
 def is_stuck(fitted: Candidate, before: Candidate) -> bool:
     """Another gamma may suit a cause better: a curve still promises much beside what the cause has brought."""
-    much = max(enough(fitted.problem), STUCK * (fitted.evidence.nats - before.evidence.nats))
+    much = max(enough(fitted.problem), STUCK_FROM * (fitted.evidence.nats - before.evidence.nats))
     return searched(fitted) and response.promise(fitted) >= much
 
 
 def ran_away(found: Candidate) -> bool:
     """gamma went where hardly a camera is, as in white rooms in dim light, where all reflectances go to 0 with it."""
     gamma = found.result.state.gamma if found.problem.fit_transfer and found.kind == "gamma" else 0.0
-    return gamma > FAR_GAMMA and found.typical < LOST
+    return gamma > FAR_GAMMA and found.typical < LOST_FROM
 
 
 def from_others(first: Candidate) -> Candidate:
@@ -39,7 +43,7 @@ def from_others(first: Candidate) -> Candidate:
     gamma = first.result.state.gamma
     starts = STARTS if gamma > USUAL_GAMMA else STARTS[::-1]
     across = Candidate.of(first.problem, gamma=starts[0])  # from the other side of where the first began
-    if abs(across.result.state.gamma - gamma) < SAME:
+    if abs(across.result.state.gamma - gamma) < SAME_GAMMA:
         return first
     others = [Candidate.of(first.problem, gamma=start) for start in starts[1:]]
     return max([first, across, *others], key=lambda c: c.evidence.nats)

@@ -26,14 +26,15 @@ from lib.light.balance import reflected, times
 from lib.light.factors_file import FormFactors
 from lib.light.throws import Throws
 
-LEAST, MOST = 0.05, 100.0  # exponents: what is flatter or sharper is no lobe that a photograph tells of
-FLAT = 1.5  # times the least exponent, up to which a lobe is none
-SPREAD = np.array([0.5, 0.5, 1.0])  # of a step: two turns of the aim, rad, and the exponent's logarithm
-UNEVEN = 1.0  # standard deviation of each number of 1 + a . direction
-FADES = 0.3  # of the mean light, the least that uneven light is taken to have left
-ALL_WRONG = 0.3  # of the typical residual, below which told lobes are all that is wrong
-FIRST = (1.0, 3.0)  # exponents to begin with
-SETTLES = 0.2  # of the typical residual: what leaves no more needs no other start
+LEAST_EXPONENT, MOST_EXPONENT = 0.05, 100.0  # Flatter or sharper lobes are none that a photograph tells of.
+FLAT_UP_TO = 1.5  # A lobe is none up to so many times the least exponent.
+# Standard deviations of a step: two turns of the aim, rad, and the exponent's logarithm.
+STEP_SPREAD = np.array([0.5, 0.5, 1.0])
+UNEVEN_SPREAD = 1.0  # Standard deviation of each number of 1 + a . direction.
+LEAST_LEFT = 0.3  # Uneven light is taken to have left at least so much of the mean light.
+ALL_WRONG_BELOW = 0.3  # Told lobes are all that is wrong if others leave less than so much of the typical residual.
+FIRST_EXPONENTS = (1.0, 3.0)  # The search begins at these exponents.
+NO_OTHER_START = 0.2  # No other start is tried if a fit leaves less than so much of the typical residual.
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +99,14 @@ class LampLobe(Cause):
         """Light that is 1 + a . direction in place of lambertian, of each lamp: the first step towards any lobe."""
         columns = [self.columns(at, lamp, [way.moments() for way in self.ways[lamp]]) for lamp in self.wanted]
         n = len(columns)
-        return CauseTerms((self.name,) * 3 * n, np.concatenate(columns, axis=-1), np.full(3 * n, UNEVEN))
+        return CauseTerms((self.name,) * 3 * n, np.concatenate(columns, axis=-1), np.full(3 * n, UNEVEN_SPREAD))
 
     def like(self, lamp, a, exponent):
         """(4,) the lobe that changes as 1 + a . direction does, about the mean direction of the light."""
         to_patches, to_tiles = (way.moments().sum(axis=0) for way in self.ways[lamp])
         middle = to_tiles if to_tiles.any() else to_patches  # no tile need see the lamp
         middle = middle / max(np.linalg.norm(middle), 1e-12)
-        slope = (a - (a @ middle) * middle) / max(1 + a @ middle, FADES)
+        slope = (a - (a @ middle) * middle) / max(1 + a @ middle, LEAST_LEFT)
         aim = middle + slope / exponent
         return np.append(aim / max(np.linalg.norm(aim), 1e-12), exponent)
 
@@ -115,7 +116,9 @@ class LampLobe(Cause):
         for lamp, lobe in lobes.items():
             slopes = [way.slopes(lobe, across(lobe)) for way in self.ways[lamp]]
             columns.append(self.columns(at, lamp, slopes))
-        return CauseTerms((self.name,) * 3 * len(lobes), np.concatenate(columns, axis=-1), np.tile(SPREAD, len(lobes)))
+        return CauseTerms(
+            (self.name,) * 3 * len(lobes), np.concatenate(columns, axis=-1), np.tile(STEP_SPREAD, len(lobes))
+        )
 
     def moved(self, lobes, step):
         return {lamp: moved(lobe, one) for (lamp, lobe), one in zip(lobes.items(), step.reshape(-1, 3), strict=True)}
@@ -149,7 +152,7 @@ def told_wrong(found: Candidate, lobes: LampLobe, told) -> tuple[list[Why], bool
         aim = ", ".join(f"{v:.2f}" for v in lobe[:3])
         text = f"lamp {lamp!r}: a lobe cos^{lobe[3]:.2f} about ({aim}) fits the photograph better by {gain:.0f} nats"
         why.append(Why(LampLobe.name, lamp, text, float(gain)))
-    return why, other.typical < ALL_WRONG * found.typical
+    return why, other.typical < ALL_WRONG_BELOW * found.typical
 
 
 def to_tiles(surface, camera, found: Gathered, lamp) -> Throws:
@@ -185,7 +188,7 @@ def across(lobe):
 def moved(lobe, step):
     """(4,) after two turns, rad, and a step of the exponent's logarithm."""
     aim = lobe[:3] + np.tan(np.clip(step[:2], -0.5, 0.5)) @ across(lobe)
-    exponent = np.clip(lobe[3] * np.exp(np.clip(step[2], -1, 1)), LEAST, MOST)
+    exponent = np.clip(lobe[3] * np.exp(np.clip(step[2], -1, 1)), LEAST_EXPONENT, MOST_EXPONENT)
     return np.append(aim / np.linalg.norm(aim), exponent)
 
 
@@ -221,13 +224,13 @@ def uneven(found: Candidate, lobes: LampLobe) -> Candidate:
 def begun(found: Candidate, first: Candidate, lobes: LampLobe) -> Candidate:
     """The fit with a lobe of each lamp, from where uneven light points. first : of `uneven`"""
     tried = []
-    for n in FIRST:
+    for n in FIRST_EXPONENTS:
         tried.append(lobes.fitted(found, {lamp: lobes.like(lamp, a, n) for lamp, a in first.taken.items()}))
-        if tried[-1].typical < SETTLES * found.typical:
+        if tried[-1].typical < NO_OTHER_START * found.typical:
             break
     return max(tried, key=lambda c: c.evidence.nats)
 
 
 def is_flat(found: Candidate) -> bool:
     """Lamps that are lambertian, or next to it: their lobes have run into the least exponent."""
-    return all(lobe[3] <= FLAT * LEAST for lobe in found.taken[LampLobe.name].values())
+    return all(lobe[3] <= FLAT_UP_TO * LEAST_EXPONENT for lobe in found.taken[LampLobe.name].values())

@@ -12,8 +12,11 @@ from lib.analysis.fit.misfits import OTHER, THRESHOLD
 from lib.analysis.fit.problem import Problem, Result
 
 NAME = "object"
-LOOKED_AT = 4  # objects whose own reflectance is tried
-SLIGHT, SLIGHTLY = 0.002, 0.01  # display, and relative: what counts where nothing else is known to be wrong
+LOOKED_AT = 4  # Objects whose own reflectance is tried.
+SLIGHT_SHOWN, SLIGHT_RELATIVE = (
+    0.002,
+    0.01,
+)  # Display, and relative. So much counts where nothing else is known to be wrong.
 
 
 class Unlike(NamedTuple):
@@ -30,7 +33,7 @@ def objects(problem: Problem, result: Result, climbed=(), slightly=False) -> lis
 
     climbed : groups that are left out;  slightly : by less, too
     """
-    least_shown, least = (SLIGHT, SLIGHTLY) if slightly else (THRESHOLD, OTHER)
+    least_shown, least = (SLIGHT_SHOWN, SLIGHT_RELATIVE) if slightly else (THRESHOLD, OTHER)
     at, state = result.at, result.state
     brightness, tried = np.maximum(np.abs(at.displayed(state.B)), 1e-9), []
     for g in np.unique(problem.tile_group):

@@ -15,10 +15,10 @@ import numpy as np
 from lib.analysis.causes.candidates import Candidate
 from lib.analysis.fit.problem import Problem
 
-LEAST = 0.006  # display: scatter of a pattern
-TIMES = 3.0  # that of the plainest third of all other tiles
+LEAST_SCATTER = 0.006  # Display. A pattern scatters by more.
+TIMES_OTHERS = 3.0  # A pattern scatters so many times as much as the plainest third of all other tiles.
 THIRD = 0.431  # a third of normal numbers are smaller: shadows' edges may cross the cells of the others
-CELL = 24  # tiles of one object, at least, through whose residuals a polynomial is laid
+TILES_OF_A_CELL = 24  # Tiles of one object, at least, through whose residuals a polynomial is laid.
 
 
 def beside(found: Candidate, pixel, width) -> Candidate:
@@ -47,7 +47,7 @@ def variance(problem: Problem, residual, pixel, width) -> np.ndarray | None:
     each = scatter[problem.tile_group]
     others = [each[~np.isnan(each) & (problem.tile_group != g)] for g in range(len(scatter))]
     usual = np.array([np.quantile(values, 1 / 3) if len(values) else np.inf for values in others])
-    own = scatter >= np.maximum(LEAST, TIMES * usual)
+    own = scatter >= np.maximum(LEAST_SCATTER, TIMES_OTHERS * usual)
     return np.where(own, scatter, 0)[problem.tile_group][:, None] ** 2 if own.any() else None
 
 
@@ -67,9 +67,9 @@ def _scatter(problem, residual, place):
 
 
 def _cells(place, tiles):
-    """Neighbours, CELL or more, split at the middle of the longer side; none where there are fewer."""
-    if len(tiles) < 2 * CELL:
-        return [tiles] if len(tiles) >= CELL else []
+    """Neighbours, TILES_OF_A_CELL or more, split at the middle of the longer side; none where there are fewer."""
+    if len(tiles) < 2 * TILES_OF_A_CELL:
+        return [tiles] if len(tiles) >= TILES_OF_A_CELL else []
     along = place[tiles, np.ptp(place[tiles], axis=0).argmax()]
     order = tiles[np.argsort(along, kind="stable")]
     return [cell for half in np.array_split(order, 2) for cell in _cells(place, half)]

@@ -23,9 +23,12 @@ from lib.analysis.fit.uncertainty import RESOLVED
 from lib.given.tone_curve import KNOTS
 from lib.given.transfer import Metric, Transfer
 
-ALIKE = 0.02  # display: a curve that is so near to a simpler function may be that one
-SURELY = 5  # times what a curve must bring: what is promised more is its, or sRGB's that is like it
-LIKELY = 0.6  # of the nats that a curve must bring, which a step must promise: they differ by a tenth
+ALIKE_TO = 0.02  # Display. A curve that is nearer to a simpler function may be that one.
+# A curve is fitted first if so many times what it must bring is promised; sRGB only if the curve is like it.
+CURVE_FIRST_FROM = 5
+CURVE_AT_ALL_FROM = (
+    0.6  # A curve is not fitted if one step promises less of what it must bring. The two differ by a tenth.
+)
 
 
 class Response(Cause):
@@ -87,10 +90,10 @@ def fitted(found: Candidate, promised=np.inf) -> list[Candidate]:
     """
     problem, result = found.problem, []
     least = enough(problem, len(KNOTS) - found.complexity)
-    if promised < SURELY * least or np.isinf(promised):
+    if promised < CURVE_FIRST_FROM * least or np.isinf(promised):
         result = [] if found.kind == "srgb" else [under_srgb(found)]
         brought = max((c.evidence.nats - found.evidence.nats for c in result), default=0.0)
-        if promised - max(brought, 0.0) < LIKELY * least:
+        if promised - max(brought, 0.0) < CURVE_AT_ALL_FROM * least:
             return result
     mixed = {"matrix": problem.transfer.matrix}
     curve = replace(Transfer("gamma", USUAL_GAMMA).as_curve(), **mixed)
@@ -116,7 +119,7 @@ def _is_like(function: Transfer, simple: Transfer, problem) -> bool:
     if simple.kind == "gamma":
         slope = np.polyfit(np.log(np.maximum(shown, 1e-6)), np.log(np.maximum(light, 1e-12)), 1)[0]
         simple = simple.moved([np.clip(slope, *simple.bounds)])
-    return bool(np.abs(simple.display(light) - shown).max() < ALIKE)
+    return bool(np.abs(simple.display(light) - shown).max() < ALIKE_TO)
 
 
 def simplest(candidates) -> Candidate:

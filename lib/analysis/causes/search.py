@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from lib.analysis.causes import colour_mixing, gammas, one_object, patterned, response, told_lamps
-from lib.analysis.causes.candidates import USUAL, Candidate, enough
+from lib.analysis.causes.candidates import USUAL_NUMBERS, Candidate, enough
 from lib.analysis.causes.cause import settled
 from lib.analysis.causes.explained import Explained, Taken
 from lib.analysis.causes.questions import Question
@@ -100,7 +100,7 @@ def climbed(best: Candidate, scope: Scope):
         }
         simple = next((found[name].candidate for name in found if found[name].is_simpler), None)
         if simple:  # it has no free number, so a cause must beat it by all of its own
-            least = simple.evidence.nats + enough(best.problem, USUAL + best.complexity)
+            least = simple.evidence.nats + enough(best.problem, USUAL_NUMBERS + best.complexity)
             better = {name: c for name, c in better.items() if c is simple or c.evidence.nats >= least}
         chosen = max(better, key=lambda name: better[name].evidence.nats, default=None)
         for name, c in candidates.items():
@@ -160,7 +160,7 @@ def promises_of(found: Candidate, causes, tried=()) -> dict:
 
 def is_one_object(found: Candidate, promise) -> bool:
     """What is wrong is the reflectance of one object, rather than a cause with such a promise: most tiles are right."""
-    return found.typical < gammas.HOPELESS and _of_one_object(found) > max(promise, enough(found.problem))
+    return found.typical < gammas.HOPELESS_FROM and _of_one_object(found) > max(promise, enough(found.problem))
 
 
 def _of_one_object(found: Candidate) -> float:

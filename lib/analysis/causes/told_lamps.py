@@ -16,10 +16,13 @@ from lib.analysis.fit.uncertainty import doubt, doubts
 from lib.given.materials import Why
 
 NAME = "lamps"
-OFF = 0.02  # relative difference of a lamp from what is told that is worth a word
-SURE = 3  # standard deviations of the same, where they are known
-COLOURED = 0.5  # of how far it is off in the mean, by which its channels differ: another colour, not power alone
-SETTLES = 0.3  # of the tiles' typical residual: what leaves no more is all that is wrong
+WORTH_A_WORD = 0.02  # A told number is named if it is off by so much, relatively,
+IN_SIGMAS = 3  # and by so many standard deviations, where they are known.
+# A lamp has another colour, not power alone, if its channels differ by so much of how far it is off in the mean.
+COLOURED_FROM = 0.5
+ALL_WRONG_BELOW = (
+    0.3  # Other lamps are all that is wrong if they leave less than so much of the tiles' typical residual.
+)
 
 
 def lamps(problem, result) -> list[Why]:
@@ -42,7 +45,7 @@ def _lamps_told(problem, result):
     gain = free.evidence.nats - nats
     if gain < enough(problem):
         return [], False
-    little = free.typical < SETTLES * float(np.median(np.abs(result.tile_residual)))
+    little = free.typical < ALL_WRONG_BELOW * float(np.median(np.abs(result.tile_residual)))
     # that a camera may mix colours, which was not taken, is no doubt of lamps: either is not as told
     function, _ = doubts(free.problem.doubted)
     found = gauss_newton(replace(free.problem, doubted=function), start=free.start)
@@ -74,7 +77,7 @@ def lamps_of(problem, found: Result, nats, spared=()) -> list[Why]:
     """
     told = np.maximum(problem.emittance, 1e-12)
     ratio, unsure = found.state.E / told, 0.0 if found.sigma_E is None else found.sigma_E / told
-    far = (np.abs(ratio - 1) > np.maximum(OFF, SURE * unsure)).any(axis=1)
+    far = (np.abs(ratio - 1) > np.maximum(WORTH_A_WORD, IN_SIGMAS * unsure)).any(axis=1)
     return [_lamp(problem.lamps[k], ratio[k], nats, spared) for k in np.flatnonzero(problem.own_lamps & far)]
 
 
@@ -89,8 +92,8 @@ def freed(problem) -> Problem:
 
 
 def _lamp(name, ratio, gain, spared):
-    uneven = np.ptp(ratio) > OFF * ratio.mean()
-    coloured = uneven and np.ptp(ratio) > COLOURED * abs(ratio.mean() - 1)
+    uneven = np.ptp(ratio) > WORTH_A_WORD * ratio.mean()
+    coloured = uneven and np.ptp(ratio) > COLOURED_FROM * abs(ratio.mean() - 1)
     said = ", ".join(f"{v:.3g}" for v in ratio) if uneven else f"{ratio.mean():.3g}"
     better = f"fits the photograph better by {gain:.0f} nats"
     if spared:

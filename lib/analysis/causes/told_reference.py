@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lib.analysis.causes.candidates import Candidate, enough
-from lib.analysis.causes.told_lamps import OFF, SURE
+from lib.analysis.causes.told_lamps import IN_SIGMAS, WORTH_A_WORD
 from lib.analysis.fit.evidence import evidence
 from lib.analysis.fit.gauss_newton import gauss_newton
 from lib.analysis.fit.problem import Result
@@ -68,7 +68,7 @@ def references_of(problem, found: Result, nats) -> list[Why]:
     told = references_told(problem)
     off = np.abs(found.state.rho[told] - problem.rho[told])
     unsure = 0.0 if found.sigma_rho is None else found.sigma_rho[told]
-    far = (off > np.maximum(OFF * problem.rho[told], SURE * unsure)).any(axis=1)
+    far = (off > np.maximum(WORTH_A_WORD * problem.rho[told], IN_SIGMAS * unsure)).any(axis=1)
     return [_reference(problem, g, found.state.rho[g], nats) for g, is_far in zip(told, far, strict=True) if is_far]
 
 

@@ -17,8 +17,10 @@ from lib.given.materials import Why
 from lib.given.transfer import Transfer
 from lib.given.transfer_kinds import OF_PICTURE
 
-TOLD_TO = 0.1  # standard deviation of a gamma that is told, before anything is seen
-CLEARLY = 2.0  # times what is enough, where mirrors or lobes leave an error: right gammas were beaten by 1.65 of it
+TOLD_TO = 0.1  # Standard deviation of a gamma that is told, before anything is seen.
+# Where mirrors or lobes leave an error, another gamma must bring so many times what is enough. Right ones were beaten
+# by 1.65 times.
+CLEARLY_FROM = 2.0
 
 
 def transfer_told(problem, asked, rivals) -> list[Why]:
@@ -88,7 +90,7 @@ def _free_gamma(problem, result):
     start = Unknowns(state.rho, state.E, free.transfer, state.rho_s)
     found = result.once("free_gamma", lambda: Candidate.of(free, start=start))
     is_bent = problem.specular is not None and found.evidence.discrepancy > 0
-    least = (CLEARLY if is_bent else 1) * enough(problem, 1)
+    least = (CLEARLY_FROM if is_bent else 1) * enough(problem, 1)
     return found, found.evidence.nats - evidence(problem, result.at).nats, least
 
 

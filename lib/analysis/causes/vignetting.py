@@ -20,11 +20,14 @@ from lib.given.transfer import Metric, Transfer
 from lib.given.view import View
 
 TERMS = 3  # powers of the squared radius
-WIDE = 2.0  # times what lenses have: standard deviations of k before anything is seen
-RISES = 0.05  # of V outwards, at most
-DEEP = 0.005  # that it falls by, at least: less is what curves leave (.2 % in small-282), and moves no reflectance
-STRANGE = 2.0  # of the unit numbers together: the usual cos^4 has .7, and one beside a gamma of 2.03 for 1.64 4.0
-LIKELY = 2  # told gammas that one step towards a shadow suits best
+TIMES_USUAL = 2.0  # The spread of k before anything is seen, in the spread that lenses have.
+MOST_RISE = 0.05  # V of a shadow may rise outwards by so much.
+LEAST_DEPTH = (
+    0.005  # V of a shadow falls by so much. Curves leave less (.2 % in small-282), and that moves no reflectance.
+)
+# No lens has unit numbers that are longer. The usual cos^4 has .7; one beside a gamma of 2.03 for 1.64 had 4.0.
+STRANGE_FROM = 2.0
+FITTED_GAMMAS = 2  # Of all gammas to begin at, so many are fitted with a shadow: those that one step suits best.
 # of the unit numbers, round by round of fitting and dividing: at first little more than the usual shape, or a few tiles
 # far out pass for outliers and the rest takes any shape
 SPREADS = ((0.05, 0.1, 1.0), (0.2, 0.5, 1.0))
@@ -52,7 +55,7 @@ def _lenses() -> np.ndarray:
     powers = np.stack([r2 ** (j + 1) for j in range(TERMS)], axis=-1)
     k = np.linalg.lstsq(powers, np.transpose(shadows), rcond=None)[0]
     size, axes = np.linalg.eigh(k @ k.T / len(shadows))
-    return WIDE * axes * np.sqrt(size)
+    return TIMES_USUAL * axes * np.sqrt(size)
 
 
 class Vignetting(Cause):
@@ -111,7 +114,7 @@ class Vignetting(Cause):
             for gamma in gammas
         ]
         bare = [Candidate.of(p, found.taken) for p in told]
-        bare = sorted(bare, key=lambda c: c.evidence.nats + self.promise(c))[-LIKELY:]
+        bare = sorted(bare, key=lambda c: c.evidence.nats + self.promise(c))[-FITTED_GAMMAS:]
         best = max((self.fitted(c) for c in bare), key=lambda c: c.evidence.nats)
         return self.fitted(replace(best, problem=replace(best.problem, fit_transfer=True), asked={}))
 
@@ -142,12 +145,12 @@ def is_shadow(k) -> bool:
     """A lens's shadow deepens outwards, and by more than nothing; else the terms have bent to something else."""
     r2 = np.linspace(0, 1, 101)
     V = 1 + sum(value * r2 ** (j + 1) for j, value in enumerate(k))
-    return bool((V - np.minimum.accumulate(V)).max() < RISES and V.min() < 1 - DEEP)
+    return bool((V - np.minimum.accumulate(V)).max() < MOST_RISE and V.min() < 1 - LEAST_DEPTH)
 
 
 def is_strange(k) -> bool:
     """No lens has such a shadow: it suits a gamma that is wrong."""
-    return bool(np.linalg.norm(np.linalg.solve(_lenses(), k)) > STRANGE)
+    return bool(np.linalg.norm(np.linalg.solve(_lenses(), k)) > STRANGE_FROM)
 
 
 def change(numbers) -> np.ndarray:
