@@ -262,6 +262,19 @@ def test_a_file_that_breaks_usds_package_is_one_line(tmp_path, monkeypatch):
         assert words in refused(usd_models.read, tmp_path / "room.usda")
 
 
+def test_a_name_that_is_no_text_is_one_line(tmp_path):
+    """Two of a thousand files with a changed byte ended in a UnicodeDecodeError."""
+    from pxr import Usd
+
+    path = tmp_path / "room.usdc"
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.DefinePrim("/room", "Qzxjvk")
+    stage.GetRootLayer().Save()
+    path.write_bytes(path.read_bytes().replace(b"Qzxjvk", b"Qz\xe5jvk"))
+    with pytest.raises(BadInput, match=r"room.usdc: a name in it is no text \(byte 0xe5\)"):
+        usd_models.read(path)
+
+
 def test_a_device_or_a_pipe_is_no_layer(read, tmp_path):
     os.mkfifo(tmp_path / "b.usda")
     assert "b.usda: is no file" in refused(read, 'def "a" (references = @b.usda@</w>) {\n}')

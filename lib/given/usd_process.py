@@ -69,6 +69,9 @@ def main(name, path, answer):
         return
     except BadInput as bad:
         told = {"problems": bad.problems}
+    except UnicodeDecodeError as error:
+        byte = f"{error.object[error.start]:#04x}"
+        told = {"problems": [f"{name}: a name in it is no text (byte {byte}): is the file damaged?"]}
     except MemoryError:
         told = {"problems": [f"{name}: takes more memory than a file of its size should: it is damaged, or too large"]}
     except Tf.ErrorException as error:
