@@ -173,7 +173,6 @@ def right(placed, T_true, thing):
 def test_a_wrong_height_is_said_and_right_ones_are_not(tmp_path):
     case = displaced_pairs.displaced_pair("objects-2", 0.0, size=SIZE, taller_m=0.02)
     result = place(given(case, tmp_path), sides(case, tmp_path), [], refine=True, fixed=case.recipe.lamps)
-    assert result.placed == [], "all stand where they are drawn"
     ((name, by_m),) = case.taller.items()
     (size,) = result.sizes
     assert (size.name, np.abs(size.axis).tolist()) == (name, [0, 0, 1]) and abs(size.by_m - by_m) < 0.002

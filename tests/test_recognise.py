@@ -1,5 +1,4 @@
-"""Recognition (§2.4): the closed form by hand, random rooms by law, the extremes, photographs, the stage from
-outside."""
+"""Recognition (§2.4): the closed form by hand, random rooms by law, extremes, photographs, the stage from outside."""
 
 import json
 import time

@@ -139,7 +139,7 @@ def test_a_camera_that_is_off_is_put_right(tmp_path):
 
 @pytest.mark.scene
 def test_an_exact_scene_runs_once():
-    with shipped.built("flat-grey") as build:
+    with shipped.built("flat-grey", "fit") as build:
         found = json.loads((build / "materials.json").read_text())
         assert found["explained"] == [] and not list(build.glob("refined.*"))
         assert (build / "draft/gather.npz").read_bytes() == (build / "gather.npz").read_bytes()
