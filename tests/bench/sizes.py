@@ -71,7 +71,8 @@ def sized(source, folder, width, seed):
     image.write_exr(folder / "truth" / "linear.exr", light)
     gamma = json.loads((source / "truth" / "materials.json").read_text())["transfer"]["gamma"]
     noise = np.random.default_rng([width, seed]).normal(0, NOISE, light.shape)
-    image.write_png8(folder / "left.png", np.round(255 * np.clip(np.clip(light, 0, 1) ** (1 / gamma) + noise, 0, 1)))
+    display = np.clip(np.clip(light, 0, 1) ** (1 / gamma) + noise, 0, 1)
+    image.write_png8(folder / "left.png", np.round(255 * display).astype(np.uint8))
 
 
 def given(scene, kind, width, out):
