@@ -69,10 +69,12 @@ def main(opt):
     from lib.synthetic import recipes, scene_files
 
     try:
-        recipe = recipes.make(opt.scene).finer(opt.finer)
+        recipe = recipes.make(opt.scene)
     except KeyError:
         names = ", ".join((*recipes.ALL_NAMES, *(f"{kind}-<seed>" for kind in recipes.RANDOM)))
         raise stage.BadInput(f"--scene: {opt.scene!r} is not one of {names}") from None
+    if opt.finer > 1 and recipe.pair:
+        raise stage.BadInput(f"--finer: {opt.finer}: a stereo scene has the pixels of its lenses")
     if opt.passes < 2:
         raise stage.BadInput(f"--passes: {opt.passes}: the noise needs at least 2")
     try:
@@ -91,7 +93,7 @@ def main(opt):
     if scalar and any(surface.kind != "textured" for surface in recipe.surfaces.values()):
         raise stage.BadInput(f"--variant: {opt.variant}: mirrors and gloss are drawn by llvm_ad_rgb alone")
     if not recipe.pair:
-        scene_files.synthesise(mi, recipe, opt)
+        scene_files.synthesise(mi, recipe.finer(opt.finer), opt)
     elif scalar or opt.preview or not (is_square(opt.spp) and is_square(opt.board_spp)):
         raise stage.BadInput(
             "a stereo scene: --variant llvm_ad_rgb, square numbers of --spp and --board-spp, no --preview"

@@ -5,11 +5,12 @@
 
 Needs Mitsuba (`make scenes` installs it) with `llvm_ad_rgb`, and its LLVM, to trace each scene once, as wide as it is
 wanted widest; that is kept in OUT/finest. A diffuse room is 2560 px wide, what is more than diffuse 1280, for that is
-slow to trace. Smaller pictures are area means of its light, so the path tracer's noise halves with the width as
-a sensor's does; NOISE is added to each by itself before it is rounded to 8 bits. What is wrong (lib/synthetic/
-deviations.py) is drawn once, 640 px wide, and the same at all sizes. Each run is made up to its materials by `make`.
+slow to trace: 15 CPU minutes in all. Smaller pictures are area means of its light, so the path tracer's noise halves
+with the width as a sensor's does; NOISE is added to each by itself before it is rounded to 8 bits. What is wrong
+(lib/synthetic/deviations.py) is drawn once, 640 px wide, and the same at all sizes. Each run is made up to its
+materials by `make`: 20 CPU minutes in all.
 
-OUT/rows.jsonl has a line for each run, and is gone on with; the table on the terminal is of all its lines. `mean` and
+OUT/NAME.jsonl has a line for each run, and is gone on with; the table on the terminal is of all its lines. `mean` and
 `worst` are |rho / rho* - 1| and |rho - rho*| / sigma over groups that COUNTED_PX pixels show 640 px wide, where nothing
 is wrong; `apart` is the most that a reflectance is off what was found 640 px wide, in the two sigmas together. Truth is
 read to score, and by nothing else.
@@ -71,7 +72,8 @@ def sized(source, folder, width, seed):
     image.write_exr(folder / "truth" / "linear.exr", light)
     gamma = json.loads((source / "truth" / "materials.json").read_text())["transfer"]["gamma"]
     noise = np.random.default_rng([width, seed]).normal(0, NOISE, light.shape)
-    image.write_png8(folder / "left.png", np.round(255 * np.clip(np.clip(light, 0, 1) ** (1 / gamma) + noise, 0, 1)))
+    display = np.clip(np.clip(light, 0, 1) ** (1 / gamma) + noise, 0, 1)
+    image.write_png8(folder / "left.png", np.round(255 * display).astype(np.uint8))
 
 
 def given(scene, kind, width, out):
