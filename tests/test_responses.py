@@ -245,6 +245,8 @@ def test_the_simplest_function_that_the_photograph_supports(shown, kind):
     seen = np.quantile(problem.photograph.linear(chosen.result.state.transfer)[0], (0.01, 0.99))
     light = np.linspace(*seen, 100)
     assert np.abs(chosen.result.state.transfer.display(light) - shown(light)).max() < 0.01
+    for taken in chosen.taken:  # `transfer` of materials.json has the curve
+        assert chosen.says(taken.cause, chosen.problem, chosen.result) == [(None, {}, None)]
 
 
 def test_a_function_that_is_told_is_not_replaced_but_its_rival_is_named():

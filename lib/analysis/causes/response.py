@@ -60,6 +60,9 @@ class Response(Cause):
         best = simplest(functions) if self.is_free else found
         return Tried(best, functions, unresolved(functions, best, promised), is_simpler=best.kind == "srgb")
 
+    def says(self, values, problem, result):
+        return [(None, {}, None)]  # `transfer` of materials.json has the curve
+
 
 def promise(found: Candidate) -> float:
     """Nats that one step from the fit towards a free curve brings."""
