@@ -98,14 +98,15 @@ def climbed(best: Candidate, scope: Scope):
             for name, c in candidates.items()
             if c is not best and physical[name] and c.beats(best) and c.evidence.nats - best.evidence.nats > errors
         }
-        simple = next((found[name].candidate for name in found if found[name].is_simpler), None)
+        simple = next((candidates[name] for name in found if found[name].is_simpler), None)
         if simple:  # it has no free number, so a cause must beat it by all of its own
             least = simple.evidence.nats + enough(best.problem, USUAL_NUMBERS + best.complexity)
             better = {name: c for name, c in better.items() if c is simple or c.evidence.nats >= least}
         chosen = max(better, key=lambda name: better[name].evidence.nats, default=None)
         for name, c in candidates.items():
             said = _decided(name, chosen, physical[name], {n: better[n] for n in better if n in (name, chosen)})
-            scope.asked.append(Question.of(name, best, promised.get(name), c, said))
+            least = enough(best.problem, causes[name].free)
+            scope.asked.append(Question.of(name, best, promised.get(name), c, said, least))
         if chosen is None:
             continue
         gain = promised | {name: c.over(best).nats for name, c in candidates.items() if physical[name]}
