@@ -40,3 +40,8 @@ class Scope:
         return cls(
             response, allowed, lens, gathered.tiles.pixel, lobes, out_of_range(gathered), [] if asked is None else asked
         )
+
+    def note(self, question):
+        """Keep a question; the same one of the same fit is asked again once another cause was tried in vain."""
+        if question not in self.asked:
+            self.asked.append(question)

@@ -106,7 +106,7 @@ def climbed(best: Candidate, scope: Scope):
         for name, c in candidates.items():
             said = _decided(name, chosen, physical[name], {n: better[n] for n in better if n in (name, chosen)})
             least = enough(best.problem, causes[name].free)
-            scope.asked.append(Question.of(name, best, promised.get(name), c, said, least))
+            scope.note(Question.of(name, best, promised.get(name), c, said, least))
         if chosen is None:
             continue
         gain = promised | {name: c.over(best).nats for name, c in candidates.items() if physical[name]}
@@ -149,7 +149,7 @@ def _promising(found: Candidate, scope: Scope, causes, tried) -> dict:
     for name, nats in promised.items():
         if name not in held or is_object:
             said = "one object explains more" if name in held else "promises too little"
-            scope.asked.append(Question.of(name, found, nats, None, said, least[name]))
+            scope.note(Question.of(name, found, nats, None, said, least[name]))
     return {} if is_object else held
 
 

@@ -34,7 +34,7 @@ def convergence_section(parts: Parts):
 
 def _asked(question):
     """(cause, beside, promised, brought, standard error, decision), as the table of questions shows them."""
-    number = lambda value: f"{value:.0f}" if finite(value) else ""
+    number = lambda value: f"{round(value):d}" if finite(value) else ""
     named = lambda cause: CAUSES.get(cause, plain(cause or ""))
     beside = ", ".join(map(named, question.beside))
     numbers = (number(value) for value in (question.promised, question.nats, question.dse))
