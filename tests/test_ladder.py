@@ -606,7 +606,7 @@ def test_a_group_that_is_off_by_far_the_most_is_tried(most, tried):
 
     judged = {g: Misfit(excess, excess, 0.001, 50, 0.03) for g, excess in enumerate([most] + 12 * [0.01])}
     audit = SimpleNamespace(flagged=lambda problem, judged: sorted(judged), given={})
-    explained = SimpleNamespace(problem=None, result=SimpleNamespace(correlated=2.0))
+    explained = SimpleNamespace(problem=None, result=SimpleNamespace(fits=False))
     assert own_materials._is_wrong_everywhere(explained, audit, judged) != tried
 
 

@@ -50,7 +50,7 @@ def test_a_scene_without_photos_does_not_know_the_stage(folder):
 def test_photographs_are_located_and_shown(folder):
     photograph(folder, "door.png")
     located = plan(folder, LAMPS + "photos: {door: {exposure: 0.5, lamps: {lamp: [0, 0, 0]}}}")
-    assert located.planned[:2] == ["locate", "index"] and "photos.json" in located.goals
+    assert located.planned[:2] == ["locate", "edges"] and "photos.json" in located.goals
     run = command(located, located.stages["locate"], "python")
     words = " ".join(run.argv)
     assert "--photos" in words and '"exposure": 0.5' in words.replace('":0.5', '": 0.5')

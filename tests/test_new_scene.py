@@ -262,7 +262,7 @@ def test_a_project_of_fspy_in_the_folder_is_the_pose(new, root, run):
     (folder / "left.fspy.json").write_text(json.dumps(words))
     stages = read_pipeline(root / "pipeline.yaml")
     found = walk(scenes.read(folder, stages), stages, folder.parent / "build")
-    assert found.planned[:2] == ["pose", "index"] and "recognise" not in found.planned
+    assert found.planned[:2] == ["pose", "edges"] and "recognise" not in found.planned
     out = folder.parent / "left.posed.cameramodel"
     files = ["--photograph", folder / "left.jpg", "--fspy-json", folder / "left.fspy.json", "--posed", out]
     done = run("stages/pose.py", *files, "--report", folder.parent / "report.json")

@@ -307,7 +307,7 @@ LOOK = "camera: {eye: [4, 1, 1.6], at: [1, 3, 1], hfov_deg: 60}"
 
 def test_scenes_that_tell_a_pose_run_no_stereo_stage(tmp_path):
     assert planned(tmp_path / "a", LOOK)[0] == "pose" and "recognise" not in planned(tmp_path / "b", LOOK)
-    assert planned(tmp_path / "c", pose_csv="x_px,y_px,X,Y,Z\n")[:2] == ["pose", "index"]
+    assert planned(tmp_path / "c", pose_csv="x_px,y_px,X,Y,Z\n")[:2] == ["pose", "edges"]
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def _reading(plan, stage, file):
         return [os.path.join(folder, "")], sorted(p for p in folder.rglob("*") if p.is_file())
     path = plan.find(file)
     own = file in stage.refines.values()  # of the first of its two runs, which the second waits for
-    if not path or own and plan.is_draft:
+    if not path or own and plan.is_draft and stage.name == plan.refiners[0].name:
         return [], []
     if own:
         return [str(path)], []

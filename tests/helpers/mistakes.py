@@ -253,7 +253,7 @@ MISTAKES = {
     "Lamp": (written("scene.yaml", "lamps: {Lamp: unknown}\n"), "names no group of model.obj; do you mean lamp?"),
     "a lamp without a value": (written("scene.yaml", "lamps: lamp\n"), "write lamps: {lamp: unknown}"),
     "one number": (written("scene.yaml", "lamps: {lamp: 5}\n"), "5 is not a list of three numbers or `unknown`"),
-    "no lamps": (written("scene.yaml", ""), "lamps: missing, and formfactors needs to know which groups emit"),
+    "no lamps": (written("scene.yaml", ""), "lamps: missing, and edges needs to know which groups emit"),
     "80 %": (yaml("reference: {top: [80, 80, 80]}\n"), "[80, 80, 80] is outside [0, 1]: 80 % is 0.8"),
     "unknown method": (yaml("params: {fit: {method: magic}}\n"), 'params.fit.method: "magic" is none of gauss-newton'),
     "number out of range": (yaml("params: {render: {rays: -5}}\n"), "params.render.rays: -5 is less than 1"),

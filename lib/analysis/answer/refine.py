@@ -176,7 +176,8 @@ def is_elsewhere(step, covariance) -> bool:
 def _moved(explained: Explained, base: Candidate, lamps, lamp, prior_m) -> Candidate | None:
     """The fit with the lamp elsewhere, and the lens's shadow as it is then; None where that brings nothing."""
     best = LampPlace(lamps, lamp, prior_m).fitted(base)
-    return best and settled(best, base, causes_of(explained.scope).values())
+    causes = causes_of(explained.scope).values() if explained.scope is not None else ()
+    return best and settled(best, base, causes)
 
 
 def flipped(view: View, factors: FormFactors, found: Gathered, explained: Explained) -> list[Why]:

@@ -48,7 +48,7 @@ def _at_once(task, first, scope, may_move, edges) -> Answer | None:
     """Where told lamps or a told transfer function that are wrong, one object's material or a lamp's place explain more
     than anything else might, no cause is looked for. A thing that the model has not takes light, too, and is asked for
     before a lamp is moved."""
-    rough = Explained(first.problem, first.result, "", given=first)
+    rough = Explained(first.problem, first.result, "", given=first, scope=scope)
     given = functools.cache(lambda: rough.without_causes(**task.options))
     seen = functools.cache(lambda: answered(given(), *looked(task, given())))
     hopeless = first.typical >= gammas.HOPELESS_FROM

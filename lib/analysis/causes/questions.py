@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from lib.analysis.causes.candidates import Candidate
 
 
@@ -33,5 +35,6 @@ class Question:
 
     def row(self) -> dict:
         """As fit.report.json has it."""
-        short = lambda value: round(value, 3) if isinstance(value, float) else value
+        finite = lambda value: round(value, 3) if np.isfinite(value) else None  # one group alone has no error
+        short = lambda value: finite(value) if isinstance(value, float) else value
         return {name: short(value) for name, value in asdict(self).items()}

@@ -25,6 +25,7 @@ from lib.light.factors_file import OUTSIDE
 # The error that neighbouring tiles have in common, in what noise explains. A fit is one up to FITS: exact scenes have
 # .2 to .45, a pose 2 px off 1.3 to 2.6, a lamp 12 cm off 4 to 8. From DOUBT it is worth while to look further.
 FITS = 1.2
+USUAL_PIXELS = 640 * 480  # smaller pictures are judged as parts of such a one
 DOUBT = 0.4
 MISFIT = 4.0  # residuals so many times what noise explains: something told to the fit is wrong
 # of the variance of a pixel beside an edge that tiles have, over their pixels: twice what tiles of 4 to 30 pixels were
@@ -235,8 +236,8 @@ class Problem:
         return np.diff(self.start)
 
     def share(self, n_pixels) -> float:
-        """What so many pixels are of the picture."""
-        return n_pixels / max(self.shown or len(self.pixels), 1)
+        """What so many pixels are of the picture, of one of 640 x 480 where it is smaller."""
+        return n_pixels / max(self.shown or len(self.pixels), USUAL_PIXELS)
 
     def noise_variance(self, n_pixels):
         """(T, 1) display variance of means over so many pixels (T,): of each pixel, and of blocks that share it."""

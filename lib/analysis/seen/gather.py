@@ -72,8 +72,7 @@ class Sampling:
     seed: int = 5
 
 
-LEAST_PX = 2  # side of a tile: noise is known by neighbours in it
-USUAL_PX = 800  # diagonal of the picture that `lamp_samples` are meant for, 640 x 480
+USUAL_PX = 800  # diagonal of 640 x 480: in smaller pictures, shares are of such a one, since their pixels limit
 LAMP_SAMPLES = 64  # of each lamp in a tile at least
 # of its light that a tile has from patches beside a gap: tiles in a gap had .6 and more and were wrong by half their
 # light, all others had .1 at most and were as right as without a gap (shelves 20 mm apart, boards 3 to 30 mm off)
@@ -87,9 +86,9 @@ def samples_per_pixel(lamp_samples, shape) -> int:
     lamp_samples : in one of USUAL_PX
 
     >>> [samples_per_pixel(4, shape) for shape in ((240, 320), (480, 640), (960, 1280), (1920, 2560))]
-    [16, 4, 1, 1]
+    [4, 4, 1, 1]
     """
-    return 2 ** max(0, round(np.log2(lamp_samples * (USUAL_PX / np.hypot(*shape)) ** 2)))
+    return 2 ** max(0, round(np.log2(lamp_samples * (USUAL_PX / max(np.hypot(*shape), USUAL_PX)) ** 2)))
 
 
 def blocks(facet, used, place=None, hand=1, *, largest=1 / 40, smallest=1 / 200, tiles_per_facet=24):
@@ -109,7 +108,8 @@ def blocks(facet, used, place=None, hand=1, *, largest=1 / 40, smallest=1 / 200,
     if len(f) == 0:
         return np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64)
     count = np.bincount(f)
-    low, high = (max(round(share * np.hypot(*facet.shape), 6), LEAST_PX) for share in (smallest, largest))
+    diagonal = max(np.hypot(*facet.shape), USUAL_PX)
+    low, high = (round(share * diagonal, 6) for share in (smallest, largest))
     block = np.clip(np.sqrt(count / tiles_per_facet), low, high).astype(np.int64)[f]
     rows, columns = (side // int(low) + 1 for side in facet.shape)
     key = ((f if place is None else place[f]) * rows + y // block) * columns + x // block
