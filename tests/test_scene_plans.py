@@ -44,7 +44,7 @@ def refusal(folder, text, *wishes):
 
 
 def test_lamps_are_needed_when_a_goal_needs_photometry(folder):
-    said = "scene.yaml: lamps: missing, and edges needs to know which groups emit: write `lamps: {lamp: unknown}`"
+    said = "scene.yaml: lamps: missing, and formfactors needs to know which groups emit: write `lamps: {lamp: unknown}`"
     assert [line for line in refusal(folder, "goals: [formfactors.npz]") if line.startswith(said)]
     (folder / "scene.yaml").write_text("goals: [group.png]")
     assert plan(folder).planned == ["index", "compare"]

@@ -60,7 +60,7 @@ def off_by(error, pixels, noise):
 
 @pytest.mark.parametrize("noise", [0.002, 0.01])
 def test_what_a_group_is_off_by_and_may_keep_is_that_of_its_share_of_the_picture(noise):
-    found = [off_by(0.01, pixels, noise) for pixels in (25, 100, 400, 1600)]
+    found = [off_by(0.01, pixels, noise) for pixels in (103, 400, 1600)]
     np.testing.assert_allclose([m.share for m in found], 0.01)
     np.testing.assert_allclose([m.excess for m in found], found[-1].excess, rtol=0.1)
     assert {misfits.is_over(m, misfits.THRESHOLD) for m in found} == {False}
