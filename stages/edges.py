@@ -73,7 +73,8 @@ def looked(view, lamps):
     from lib.analysis.seen.places import Places, by_edges
     from lib.given.white_level import is_twelve_bits
 
-    return Places(None, [], []) if is_twelve_bits(view.photograph) else by_edges(view, lamps)
+    shown = view.photograph
+    return Places(None, [], []) if is_twelve_bits(shown.values, shown.linear) else by_edges(view, lamps)
 
 
 if __name__ == "__main__":

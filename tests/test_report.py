@@ -231,6 +231,7 @@ def busy(seconds):
 
 def test_what_is_excluded_counts_nowhere_else(tmp_path):
     """work 0.05 + imports 0.1 + compile 0.1 (0.05 of it inside a nested `excluded`): cpu_s is the work alone."""
+    began = time.process_time()
     with Report(tmp_path / "r.json") as report:
         with report.excluded("imports"):
             busy(0.1)
@@ -242,10 +243,12 @@ def test_what_is_excluded_counts_nowhere_else(tmp_path):
                     busy(0.05)
                 report.trace(image_rms=0.5)
         report.trace(iteration=7, image_rms=0.25)
+    all_s = time.process_time() - began
     r = artefact.read_json(tmp_path / "r.json")
-    # what is excluded, 0.2 s, is in neither; what a slow machine spends on the report itself may be
-    assert 0.045 < r["cpu_s"] < 0.15 and 0.045 < r["timings"]["solve"]["cpu_s"] < 0.15
-    assert r["imports_s"] >= 0.1 and 0.095 < r["compile_s"] < 0.2
+    # each second counts once: what is excluded is in neither, whatever the machine spends on the report itself
+    assert 0.045 < r["timings"]["solve"]["cpu_s"] <= r["cpu_s"] + 1e-6
+    assert r["cpu_s"] + r["compile_s"] <= all_s - 0.1 + 1e-6  # of imports, which count from the interpreter's start
+    assert r["imports_s"] >= 0.1 and r["compile_s"] > 0.095
     assert [t["iteration"] for t in r["trace"]] == [0, 7] and r["trace"][0]["cpu_s"] <= r["trace"][1]["cpu_s"] <= r[
         "cpu_s"
     ] + 1e-9

@@ -32,9 +32,9 @@ class White(NamedTuple):
     doubts: tuple = ()
 
 
-def is_twelve_bits(photograph) -> bool:
-    """No value of an image.Photograph is beyond 12 bits of 16: it must be meant for another range."""
-    return not photograph.linear and photograph.values.max(initial=0) <= TWELVE_BITS + 1e-9
+def is_twelve_bits(values, linear) -> bool:
+    """No displayed value is beyond 12 bits of 16: the photograph must be meant for another range."""
+    return not linear and values.size > 0 and bool(values.max() <= TWELVE_BITS + 1e-9)
 
 
 def of(stored, told=None) -> White:

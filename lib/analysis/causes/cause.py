@@ -19,6 +19,7 @@ from lib.analysis.fit.evidence import evidence, promised
 from lib.analysis.fit.gauss_newton import gauss_newton
 from lib.analysis.fit.problem import CauseTerms, Problem, Result
 from lib.analysis.fit.transport import TileLight
+from lib.analysis.seen.gather import Gathered
 from lib.given.view import View
 
 
@@ -141,6 +142,10 @@ class Cause:
     def left_open(self, problem: Problem, at: Equations, values) -> CauseTerms:
         """What may be added to values that stand fast in a problem: the photograph was put right by them."""
         return self.terms(self.standing(problem, values), at, values)
+
+    def evened(self, gathered: Gathered, values, transfer) -> Gathered:
+        """Tiles as they would be without it, where pixels can be put right."""
+        return gathered
 
     def undone(self, view: View, values, transfer) -> View:
         """The photograph as it would be without it, where pixels can be put right."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from lib.analysis.causes import lamp_lobe, vignetting
+from lib.analysis.causes import lamp_lobe
 from lib.analysis.causes.candidates import NATS, Candidate
 from lib.analysis.causes.scope import Scope
 from lib.analysis.causes.table import causes_of
@@ -58,29 +58,29 @@ class Explained:
 
     def says(self, name, problem, result):
         """[(subject, values, sigma)] of a cause that was taken. problem, result : of the last fit"""
-        kind = causes_of(self.scope).get(name)
-        return [(None, {}, None)] if kind is None else kind.says(self.values.get(name), problem, result)
+        return causes_of(self.scope)[name].says(self.values.get(name), problem, result)
 
     @property
-    def falloff(self):
-        """k of the lens, None where it is as bright in the corners."""
-        return self.values.get(vignetting.Vignetting.name)
+    def _found(self):
+        """[(cause, its values)] of those that have values."""
+        causes = causes_of(self.scope).values() if self.values else ()
+        return [(cause, self.values[cause.name]) for cause in causes if cause.name in self.values]
 
     def evened(self, gathered: Gathered) -> Gathered:
-        """Tiles as they would be without the lens's shadow."""
-        if self.falloff is None:
-            return gathered
-        return vignetting.corrected(gathered, self.scope.lens, self.falloff, self.result.state.transfer)
+        """Tiles as they would be without the causes, where pixels can be put right."""
+        for cause, values in self._found:
+            gathered = cause.evened(gathered, values, self.result.state.transfer)
+        return gathered
 
     def flattened(self, view: View, found: Gathered, **options):
-        """(self, view, found) where all causes stand fast; of the photograph without the lens's shadow."""
+        """(self, view, found) where all causes stand fast; of the photograph without them, as far as it can be."""
         if self.problem.cause is None:
             return self, view, found
         state, found = self.result.state, self.evened(found)
         problem = replace(self.problem, pixels=found.pixels, gain=None, cause=None)
         result, scale = fit(problem, start=Unknowns(state.rho, state.E, state.transfer), **options)
-        if self.falloff is not None:
-            view = vignetting.without(view, self.scope.lens, self.falloff, state.transfer)
+        for cause, values in self._found:
+            view = cause.undone(view, values, state.transfer)
         return replace(self, problem=problem, result=result, scale=scale), view, found
 
 

@@ -121,8 +121,14 @@ class Vignetting(Cause):
     def is_physical(self, fitted: Candidate, before: Candidate) -> bool:
         return is_shadow(k_of(fitted))
 
-    def undone(self, view, values, transfer):
-        return without(view, self.lens, values, transfer)
+    def evened(self, gathered: Gathered, values, transfer) -> Gathered:
+        gain = self.lens.gain(gathered.tiles.pixel, values)
+        return replace(gathered, pixels=divided(gathered.pixels, gain, transfer))
+
+    def undone(self, view: View, values, transfer) -> View:
+        shown = view.photograph.values
+        flat = divided(shown.reshape(-1, shown.shape[2]), self.lens.gain(self.lens.pixels, values), transfer)
+        return replace(view, photograph=replace(view.photograph, values=flat.reshape(shown.shape)))
 
     def says(self, values, problem, result):
         if result.cov_cause is None or not (own := problem.cause.of(self.name)).any():
@@ -166,17 +172,3 @@ def sigma(covariance) -> list:
 def _means(problem, values):
     """(T,) of values (M,) of the tiles' pixels."""
     return np.add.reduceat(values, problem.start[:-1]) / problem.n_pixels
-
-
-def corrected(gathered: Gathered, lens: Lens, k, transfer: Transfer) -> Gathered:
-    """Tiles of the photograph as it would be without the lens's shadow."""
-    gain = lens.gain(gathered.tiles.pixel, k)
-    return replace(gathered, pixels=divided(gathered.pixels, gain, transfer))
-
-
-def without(view: View, lens: Lens, k, transfer: Transfer) -> View:
-    """The photograph as it would be without the lens's shadow."""
-    values = view.photograph.values
-    gain = lens.gain(lens.pixels, k)
-    flat = divided(values.reshape(-1, values.shape[2]), gain, transfer)
-    return replace(view, photograph=replace(view.photograph, values=flat.reshape(values.shape)))

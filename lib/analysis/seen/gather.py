@@ -18,7 +18,7 @@ from lib.core import arrays, artefact
 from lib.core.arrays import Flag, Real, Starts, Whole
 from lib.given.transfer import Transfer
 from lib.given.view import View
-from lib.given.white_level import TWELVE_BITS
+from lib.given.white_level import is_twelve_bits
 from lib.light import factors_file, form_factors, lamps, outside
 from lib.light import surface as surfaces
 from lib.light.cells import Mesh
@@ -347,4 +347,4 @@ def read(path) -> Gathered:
 
 def out_of_range(found: Gathered) -> bool:
     """The photograph's values are so small that they must be meant for another range."""
-    return not found.linear and len(found.pixels) > 0 and found.pixels.max() <= TWELVE_BITS + 1e-9
+    return is_twelve_bits(found.pixels, found.linear)
