@@ -173,6 +173,24 @@ def test_a_plan_that_is_interrupted_says_one_line():
     assert run.returncode == 130 and run.stderr == "plan.py: interrupted: nothing of it was written\n"
 
 
+def test_a_stop_while_an_object_is_freed_is_not_lost():
+    """What is raised there Python prints and forgets: the stage went on to its end."""
+    program = (
+        "import argparse, os, signal, time, weakref\n"
+        "from lib.core import stage\n"
+        "def main(opt):\n"
+        "    a = type('A', (), {})()\n"
+        "    seen = weakref.ref(a, lambda _: (os.kill(os.getpid(), signal.SIGTERM), time.sleep(0.01)))\n"
+        "    del a\n"
+        "    time.sleep(60)\n"
+        "stage.run(main, argparse.ArgumentParser(prog='fit.py'))\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=Path(stage.__file__).parents[2]
+    )
+    assert (ended.returncode, ended.stderr) == (143, "fit.py: terminated: nothing of it was written\n")
+
+
 @pytest.mark.parametrize("calls", [100, 3_000, 30_000, 300_000])
 def test_signals_without_end_are_told_once(calls):
     """While it imports, while kernels compile, while it says that it stops: two tracebacks came of a second signal.

@@ -60,6 +60,8 @@ def run(main, parser, argv=None):
     """
     name = os.path.basename(parser.prog)
     own = argv is None
+    if own:
+        sys.unraisablehook = _unraised
     try:
         for asked in STOPPED:
             signal.signal(asked, _stop)
@@ -73,13 +75,13 @@ def run(main, parser, argv=None):
                 break
             except KeyboardInterrupt:  # another, before it was deaf
                 continue
-        sys.exit(_told(name, _asked[0] if _asked else signal.SIGINT))
+        status, problems = _told(_asked[0] if _asked else signal.SIGINT)
     for problem in problems:
         print(f"{name}: {problem}", file=sys.stderr)
+    if own:
+        _end_at_once(status)
     if status:
         sys.exit(status)
-    if own:
-        _end_at_once()
 
 
 def _outcome(main, parser, argv):
@@ -110,16 +112,19 @@ def _outcome(main, parser, argv):
     return 0, ()
 
 
-def _told(name, asked):
-    """Says that the process stops; its exit status."""
-    print(f"{name}: {STOPPED[asked]}: nothing of it was written", file=sys.stderr, flush=True)
-    return 128 + asked
+def _told(asked):
+    """(exit status, what is said) of a process that stops."""
+    return 128 + asked, (f"{STOPPED[asked]}: nothing of it was written",)
 
 
 def _deafen():
-    """Nothing stops the process from here on, nor an alarm that a stop has set."""
+    """Nothing stops the process from here on, nor an alarm that a stop has set.
+
+    By a handler that does nothing: under SIG_IGN Python prints a traceback of a signal that came just before.
+    """
+    sys.unraisablehook = sys.__unraisablehook__
     for asked in (*STOPPED, signal.SIGALRM):
-        signal.signal(asked, signal.SIG_IGN)
+        signal.signal(asked, lambda *_: None)
     signal.setitimer(signal.ITIMER_REAL, 0)
 
 
@@ -129,7 +134,9 @@ def listen(name):
     def at_once(asked, _):
         if not _asked:  # another one waits until the line is out
             _asked.append(asked)
-            os._exit(_told(name, asked))
+            status, (said,) = _told(asked)
+            print(f"{name}: {said}", file=sys.stderr, flush=True)
+            os._exit(status)
 
     for asked in STOPPED:
         signal.signal(asked, at_once)
@@ -153,13 +160,28 @@ def _stop_now_or_later(asked, frame):
     global _waits, _asked_at
     while frame is not None:
         if any(name in frame.f_code.co_filename for name in DEAF):
-            signal.signal(signal.SIGALRM, lambda _, frame: _stop_now_or_later(asked, frame))
-            signal.setitimer(signal.ITIMER_REAL, LATER_S)
+            _stop_later(asked)
             return
         frame = frame.f_back
     _asked.append(asked)
     _asked_at, _waits = time.monotonic(), False
     raise KeyboardInterrupt
+
+
+def _stop_later(asked):
+    global _waits
+    _waits = True
+    signal.signal(signal.SIGALRM, lambda _, frame: _stop_now_or_later(asked, frame))
+    signal.setitimer(signal.ITIMER_REAL, LATER_S)
+
+
+def _unraised(ignored):
+    """Python's hook for an exception that nothing can catch: where it is a stop, that was raised while a library called
+    back or an object was freed, the process is asked again; anything else is printed as by Python."""
+    if _asked and isinstance(ignored.exc_value, KeyboardInterrupt):
+        _stop_later(_asked[-1])
+    else:
+        sys.__unraisablehook__(ignored)
 
 
 def _unless_stopped(main, opt):
@@ -173,14 +195,14 @@ def _unless_stopped(main, opt):
         raise
 
 
-def _end_at_once():
+def _end_at_once(status):
     """End the process without taking the interpreter down: files are written, and the system frees the rest.
 
     Freeing it object by object takes 0.1 s, and 0.4 s where numba's kernels are loaded.
     """
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(0)
+    os._exit(status)
 
 
 # ---- options ----
