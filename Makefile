@@ -89,10 +89,10 @@ check: lint
 	NUMBA_NUM_THREADS=1 $(TESTS) -m 'not scene and not outside and not slow'
 
 test: lint
-	NUMBA_NUM_THREADS=2 $(TESTS) -m 'not slow'
+	NUMBA_NUM_THREADS=$${NUMBA_NUM_THREADS:-2} $(TESTS) -m 'not slow'
 
 test-slow: setup
-	NUMBA_NUM_THREADS=2 $(TESTS) -m slow
+	NUMBA_NUM_THREADS=$${NUMBA_NUM_THREADS:-2} $(TESTS) -m slow
 
 # Laws and closed forms, as a table and a page; which hold is the exit status.  Some seconds of kernels, then 90 at most
 verify: setup

@@ -520,6 +520,7 @@ def test_shares_are_no_wider_than_the_model(scene):
     assert (shares[np.flatnonzero(pure), facet[pure]] == 1).all()
 
 
+@pytest.mark.slow
 def test_noise_of_gathered_light_is_told(scene, monkeypatch):
     """By gathering rays alone a narrow lobe on the floor is noisy, and told to be as noisy as many rays show."""
     gloss = {"change": {"bottom": {"kind": "glossy", "rho_d": [0.2] * 3, "rho_s": [0.75] * 3, "alpha": [0.03] * 2}}}

@@ -93,10 +93,13 @@ def test_without_noise_the_true_pose_comes_first(tmp_path):
 
 
 @pytest.mark.scene
-def test_objects_before_texture(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("seeds", "most", "so"), [((100, 103), 2, 1), pytest.param((100, 108), 7, 5, marks=pytest.mark.slow)]
+)
+def test_objects_before_texture(tmp_path, capsys, seeds, most, so):
     """Two or three facets of each object are known, too few for planes: by corners most are answered, all right."""
     answered, by_corners = 0, 0
-    for seed in range(100, 108):
+    for seed in range(*seeds):
         pair = objects.object_pair(seed, tmp_path)
         told = answers.answer(seen_of(pair, seed, 2 + seed % 2), pair.given, pair.sides)
         if not told.why:
@@ -106,13 +109,14 @@ def test_objects_before_texture(tmp_path, capsys):
             poses = [own, *(cameras.matrix_from_rt(o["rt_cam_world"]) for o in told.result.ambiguous)]
             assert any(is_right(T, pair.posed, 1.0) for T in poses), seed
     with capsys.disabled():
-        print(f"\n8 objects: {answered} answered, {by_corners} by corners")
-    assert answered >= 7 and by_corners >= 5
+        print(f"\n{np.ptp(seeds)} objects: {answered} answered, {by_corners} by corners")
+    assert answered >= most and by_corners >= so
 
 
 @pytest.mark.scene
-def test_a_wrong_model_is_refused_with_its_figures(tmp_path):
-    for seed in range(120, 124):
+@pytest.mark.parametrize("seeds", [(120, 121), pytest.param((121, 124), marks=pytest.mark.slow)])
+def test_a_wrong_model_is_refused_with_its_figures(tmp_path, seeds):
+    for seed in range(*seeds):
         pair, other = objects.object_pair(seed, tmp_path), objects.object_pair(seed + 50, tmp_path)
         told = answers.answer(seen_of(pair, seed, 4), other.given, pair.sides)
         assert "% of the best pose's edges, 70 % needed" in told.why and "nats" in told.why, seed

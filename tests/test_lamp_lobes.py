@@ -214,7 +214,7 @@ def test_the_ladder_climbs_in_the_light_of_a_lobe(tmp_path):
     assert np.degrees(np.arccos(found.lobes["lamp"][:3] @ TRUTH.lobes["lamp"][:3])) < 1
 
 
-@pytest.mark.scene
+@pytest.mark.slow
 def test_without_leave_a_lobe_is_a_misfit(tmp_path):
     found = fitted(tmp_path, "lamps: {lamp: [36.2979, 31.3137, 27.1693]}\nexplain: []\n")
     assert found.status == "does not fit" and not any(group.identified for group in found.groups.values())

@@ -179,7 +179,7 @@ def test_a_wrong_height_is_said_and_right_ones_are_not(tmp_path):
     assert abs(size.by_m - by_m) < 4 * size.sigma_m
 
 
-@pytest.mark.scene
+@pytest.mark.slow
 def test_the_stage_from_outside(tmp_path, run, refuses):
     case = displaced_pairs.displaced_pair("objects-3", 0.1, size=SIZE)
     displaced_pairs.write(case, tmp_path, displaced_pairs.photographs(case))

@@ -57,6 +57,7 @@ def test_photographs_of_nothing(attic):
     assert "0 facets cannot fix a pose" in refused(make(attic, "attic"), attic)
 
 
+@pytest.mark.slow
 @pytest.mark.outside
 def test_photographs_of_noise(attic):
     rng = np.random.default_rng(0)

@@ -78,7 +78,7 @@ def test_the_mean_of_a_map_is_as_unsure_as_what_no_pixel_shows():
     np.testing.assert_allclose(unseen(of(0 * ones)), 0)
 
 
-@pytest.mark.scene
+@pytest.mark.slow
 def test_a_print_in_the_shadow_of_a_lens(tmp_path):
     """The disc on the poster was taken for a thing before it, since the picture fitted badly without its pattern."""
     _, found, off = deviated(tmp_path, vignetted, "poster")

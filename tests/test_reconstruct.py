@@ -197,7 +197,7 @@ def test_a_side_that_nothing_checks_is_less_sure():
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize(("quality", "least"), [(95, 0.93), (75, 0.9)])
+@pytest.mark.parametrize(("quality", "least"), [(95, 0.93), pytest.param(75, 0.9, marks=pytest.mark.slow)])
 def test_coverage_in_jpegs(quality, least):
     """Exact quadrilaterals, stored as JPEGs: borders are as unsure as what rings beside them (75: .89 without)."""
     inside = []
@@ -227,7 +227,7 @@ def test_upright_sides_may_be_off_farther_than_level_ones():
     assert np.allclose(uncertainty.asides(replace(x, rows=level)), 1)
 
 
-@pytest.mark.scene
+@pytest.mark.slow
 def test_coverage_of_texture():
     """A textured plane whose region has no visible border: the intensities alone, without bias, and as honest."""
     inside, error = [], []
@@ -246,7 +246,7 @@ def test_coverage_of_texture():
     assert abs(np.mean(error)) < 3 * np.std(error) / np.sqrt(40) + 2e-5
 
 
-@pytest.mark.scene
+@pytest.mark.slow
 def test_baseline_towards_zero():
     """Sigma of m is that of the disparity over f baseline: facet by facet it grows like 1 / baseline.
 

@@ -174,7 +174,7 @@ def test_a_lamp_is_moved_beside_a_mirror(tmp_path):
     assert (np.abs(far) <= 3 * np.array(found["explained"][0]["sigma"]["offset_m"])).all()
 
 
-@pytest.mark.scene
+@pytest.mark.slow
 def test_a_mirror_under_light_that_does_not_fit_is_no_diffuse_surface(tmp_path):
     """Lobes of the lamp came nearest, and what they do not explain was forgotten."""
 
@@ -187,7 +187,7 @@ def test_a_mirror_under_light_that_does_not_fit_is_no_diffuse_surface(tmp_path):
     assert found["status"] == "does not fit"
 
 
-@pytest.mark.scene
+@pytest.mark.slow
 def test_a_mirror_does_not_hide_a_camera_that_mixes_colours(tmp_path):
     """The diffuse fit sees the colours of what the mirror throws, too: mirrored-2513 was 68 sigma off and green."""
     M = np.array([[0.94, 0.19, -0.13], [0.18, 0.94, -0.12], [0.15, 0.19, 0.66]])
@@ -252,7 +252,7 @@ def test_a_mistaken_unit_axis_or_camera_is_named(office, cause):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("cause", ["object_missing", "group_wrong"])
+@pytest.mark.parametrize("cause", ["object_missing", pytest.param("group_wrong", marks=pytest.mark.slow)])
 def test_what_the_model_has_not_is_named(tmp_path, cause):
     without = lambda line, thing: None if thing == "carton" and line[0] in "of" else line
     other = lambda line, thing: "usemtl door" if thing == "carton" and line.startswith("usemtl") else line
@@ -270,7 +270,7 @@ def test_what_looks_at_a_lamp_from_near_by_is_known():
     assert looking_at(rows, 2, np.array([0, 1, 2])).tolist() == [False, True, True]
 
 
-@pytest.mark.scene
+@pytest.mark.slow
 def test_a_wrong_lamp_beside_a_mirror_does_not_hide_behind_a_curve(tmp_path):
     """While the mirror stood diffuse, neither lamps nor a curve left little enough for lamps to be named."""
 

@@ -8,7 +8,11 @@ from tests.verify.walks import Found, Walk, at_most, near, refused
 
 EVERY = walks.every()
 SECONDS = ("photometry", "told otherwise", "facets")
-MINUTES = ("1e6 m away", "polygons in another order")  # whole makes: test_told_otherwise.py asks both of small rooms
+MINUTES = (
+    "1e6 m away",
+    "in mm",
+    "polygons in another order",
+)  # whole makes: test_told_otherwise.py asks both of small rooms
 
 
 def marks(part, place):
