@@ -28,10 +28,13 @@ PHOTOGRAPHIC = {
         "noise_3",
         "noise_10",
         "bayer",
+        "saturation",
+        "phone",
     ),
     "12in16",
 }
 MODEL = {"objects", "lamp", "open", "open_room", "missing_object", "usemtl", "y_up", "millimetres", "flipped_lamp"}
+MODEL |= {"objects_1cm", "objects_3cm", "lamps_3cm", "all_3cm", "half_modelled", "extra_object", "phone"}
 CAMERA = {"pose", "half_pixel", "turned"}
 FACTS = {"neutral_lamp", "lamp_power", "gamma", "exposure_dark", "exposure_bright"}
 OBJ, MODEL_FILES = "model.obj", ("model.obj", "model.mtl")
@@ -78,7 +81,7 @@ def test_only_what_it_says(scene, tmp_path, kind):
     files |= {"left.png"} if kind in PHOTOGRAPHIC else set()
     changed = filecmp.dircmp(scene.folder, tmp_path / "a")
     assert set(changed.diff_files) | set(changed.left_only) == files
-    assert set(changed.right_only) == ({"left.jpg"} if kind == "jpeg" else set())
+    assert set(changed.right_only) == ({"left.jpg"} if kind in ("jpeg", "phone") else set())
     truth = changed.subdirs["truth"]
     assert truth.right_only == ["deviation.json"] and not truth.diff_files and not truth.left_only
     # the same again, byte for byte; another seed draws another, where anything is drawn
@@ -105,6 +108,18 @@ def test_objects(scene, tmp_path, seed):
         assert np.allclose(q.points - p.points, offset, atol=2e-6)
     for offset in said["offset_m"].values():
         assert np.linalg.norm(offset) == pytest.approx(0.03) and offset[2] == 0
+
+
+def test_every_object_moves_by_about_as_much(scene, tmp_path):
+    lamps = set(scene.given.lamps)
+    things = {p.object for p in scene.given.polygons if p.group not in lamps} - set(given_scene.ROOM)
+    drawn = []
+    for seed in range(8):
+        said, _ = deviated(scene, tmp_path / str(seed), "objects_3cm", seed)
+        assert set(said["offset_m"]) <= things
+        drawn += [offset[:2] for offset in said["offset_m"].values()]
+    assert len(drawn) > 6 * len(things)  # of 8; some stand too close to move
+    assert np.std(drawn) == pytest.approx(0.03, rel=0.2)
 
 
 @pytest.mark.parametrize("seed", range(4))

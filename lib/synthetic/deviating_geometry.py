@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lib.synthetic.geometry import Polygon
+from lib.synthetic.geometry import Polygon, box
 from lib.synthetic.given_scene import ROOM, Given
 from lib.synthetic.optics import rotation
 
@@ -16,6 +16,7 @@ OBJECT_M = 0.03
 LAMP_M = 0.12
 FREE_PX = 2000
 SEEN_PX = 1000  # of an object whose material is forgotten
+UNSEEN_PX = 200  # of an object that nobody would model
 COPLANAR_M = 1e-4
 
 # ---- the camera ----
@@ -101,6 +102,97 @@ def _clear(given, name, clear=0.005) -> bool:
         return False
     others = [given.span(other) for other in given.objects() if other not in (*ROOM, name)]
     return not any((low - clear < b).all() and (high + clear > a).all() for a, b in others)
+
+
+def every_object(given, random, sigma_m):
+    """Each thing that is not the room or a lamp moved along the floor by N(0, sigma_m) in x and y, as anyone's model
+    has them; none cuts into another that it did not cut before."""
+    lamps = {p.object for p in given.polygons if p.group in given.lamps}
+    offsets = {}
+    for name in given.objects():
+        if name in (*ROOM, *lamps):
+            continue
+        before = _cut(given, name)
+        for _ in range(50):
+            offset = np.append(random.normal(0, sigma_m, 2), 0.0)
+            if _cut(given.with_moved({**offsets, name: offset}), name) <= before:
+                offsets[name] = offset
+                break
+    return given.with_moved(offsets), {"offset_m": {name: x.tolist() for name, x in offsets.items()}}
+
+
+def _cut(given, name, by=1e-3) -> set:
+    """The objects, or "walls", that an object's bounding box cuts into by so many metres."""
+    low, high = given.span(name)
+    outer = given.span("walls")
+    cut = {"walls"} if (low < outer[0] - by).any() or (high > outer[1] + by).any() else set()
+    for other in given.objects():
+        if other not in (*ROOM, name):
+            a, b = given.span(other)
+            if (low + by < b).all() and (high - by > a).all():
+                cut.add(other)
+    return cut
+
+
+def objects_1cm(given, random):
+    """Every object N(0, 1 cm) off in x and y."""
+    return every_object(given, random, 0.01)
+
+
+def objects_3cm(given, random):
+    """Every object N(0, 3 cm) off in x and y."""
+    return every_object(given, random, 0.03)
+
+
+def lamps_3cm(given, random, sigma_m=0.03):
+    """Every lamp N(0, 3 cm) off in x and y."""
+    offsets = {}
+    for name in dict.fromkeys(p.object for p in given.polygons if p.group in given.lamps):
+        for _ in range(200):
+            offset = np.append(random.normal(0, sigma_m, 2), 0.0)
+            if _cut(given.with_moved({name: offset}), name) <= _cut(given, name):
+                offsets[name] = offset
+                break
+    return given.with_moved(offsets), {"lamps_offset_m": {name: x.tolist() for name, x in offsets.items()}}
+
+
+def all_3cm(given, random):
+    """Every object and every lamp N(0, 3 cm) off in x and y."""
+    moved, said = every_object(given, random, 0.03)
+    moved, more = lamps_3cm(moved, random)
+    return moved, said | more
+
+
+def half_modelled(given, random):
+    """What the camera hardly sees is not in the model, and free things that are no boxes are boxes."""
+    lamps = {p.object for p in given.polygons if p.group in given.lamps}
+    seen = given.of_objects()
+    gone = [n for n in given.objects() if n not in (*ROOM, *lamps) and seen.get(n, 0) < UNSEEN_PX]
+    coarse = [n for n in given.free(FREE_PX) if n not in gone]
+    kept = []
+    for polygon in given.polygons:
+        if polygon.object in gone:
+            continue
+        if polygon.object not in coarse:
+            kept.append(polygon)
+        elif polygon.object not in {p.object for p in kept}:
+            low, high = given.span(polygon.object)
+            kept += box(polygon.object, polygon.group, low, np.maximum(high, low + 0.01))
+    return replace(given, polygons=tuple(kept)), {"without": gone, "boxes": coarse}
+
+
+def extra_object(given, random):
+    """A box stands in the model that the photograph does not show."""
+    low, high = given.span("walls")
+    groups = sorted({p.group for p in given.polygons} - set(given.lamps))
+    for _ in range(300):
+        size = random.uniform(0.2, 0.6, 3)
+        at = np.append(random.uniform(low[:2] + 0.1, high[:2] - 0.1 - size[:2]), low[2])
+        more = tuple(box("extra", str(random.choice(groups)), at, at + size))
+        with_it = replace(given, polygons=given.polygons + more, seen={})
+        if not _cut(with_it, "extra") and with_it.of_objects().get("extra", 0) >= FREE_PX:
+            return with_it, {"extra": [*at.tolist(), *size.tolist()]}
+    raise ValueError("nowhere to put it")
 
 
 def missing_object(given, random):

@@ -8,10 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from lib.given.transfer import srgb_from_linear
+from lib.synthetic import deviating_geometry as geometry
 from lib.synthetic.given_scene import Given
 
 MIXED = (-0.15, 0.2)  # beside the diagonal
 CORNER_DEG = 37.0
+PHONE_CORNER_DEG = (15.0, 30.0)
+SATURATED = (0.0, 0.3)
 DARK, BRIGHT = 0.2, 2.5
 GAMMAS = (1.0, 2.8)
 FULL_WELL, READ_NOISE = 6000.0, 0.0015  # electrons at white; of white
@@ -64,6 +67,31 @@ def tone_curve(random) -> tuple:
     return f"{kind}, gamma {g:.3f}, strength {a:.3f}", T
 
 
+def saturated(display, more):
+    """As phones and editors do it: colours farther from their pixel's mean by such a share, in displayed values."""
+    mean = display.mean(axis=2, keepdims=True)
+    return np.clip(mean + (1 + more) * (display - mean), 0, 1)
+
+
+def saturation(given, random):
+    """Colours 0 to 30 % farther from grey."""
+    more = float(random.uniform(*SATURATED))
+    return _shown(given, saturated(_display(given, given.B), more)), {"saturation": more}
+
+
+def phone(given, random):
+    """sRGB or a tone curve, the lens's shadow, colours 0 to 30 % farther from grey, a JPEG of quality 85, and one thing
+    that the model has too many or too few."""
+    change = geometry.missing_object if random.integers(2) else geometry.extra_object
+    given, said = change(given, random)
+    shade, lens = lens_shadow(given.B.shape[:2], float(random.uniform(*PHONE_CORNER_DEG)))
+    more = float(random.uniform(*SATURATED))
+    name, curve = ("srgb", srgb_from_linear) if random.integers(2) else tone_curve(random)
+    light = np.clip(given.B * shade, 0, 1)
+    shown = _shown(given, saturated(curve(light), more), "left.jpg")
+    return replace(shown, quality=85), said | {"lens": lens, "saturation": more, "curve": name}
+
+
 # ---- light ----
 
 
@@ -77,12 +105,18 @@ def colours(given, random):
 
 def vignetting(given, random):
     """cos^4 with 37 degrees at the picture's corners."""
-    H, W = given.B.shape[:2]
+    factor, said = lens_shadow(given.B.shape[:2], CORNER_DEG)
+    return _shown(given, _display(given, given.B * factor)), said
+
+
+def lens_shadow(shape, corner_deg):
+    """((H, W, 1) cos^4 with so many degrees at the corners, {what it is})."""
+    H, W = shape
     x, y = np.meshgrid(np.arange(W) - (W - 1) / 2, np.arange(H) - (H - 1) / 2)
-    tangent = np.hypot(x, y) / np.hypot((W - 1) / 2, (H - 1) / 2) * np.tan(np.radians(CORNER_DEG))
+    tangent = np.hypot(x, y) / np.hypot((W - 1) / 2, (H - 1) / 2) * np.tan(np.radians(corner_deg))
     factor = np.cos(np.arctan(tangent)) ** 4
-    said = {"corner_deg": CORNER_DEG, "corner": float(factor.min()), "centre_px": [(W - 1) / 2, (H - 1) / 2]}
-    return _shown(given, _display(given, given.B * factor[..., None])), said
+    said = {"corner_deg": corner_deg, "corner": float(factor.min()), "centre_px": [(W - 1) / 2, (H - 1) / 2]}
+    return factor[..., None], said
 
 
 def _exposed(given, factor):

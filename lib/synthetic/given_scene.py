@@ -29,6 +29,7 @@ class Given:
     B: np.ndarray  # (H, W, 3) linear radiance of the true photograph
     gamma: float
     photograph: tuple | None = None  # (name of the file, values) of another photograph
+    quality: int = 80  # of a JPEG
     seen: dict = field(default_factory=dict)  # objects' pixels; see `of_objects`
 
     @property
@@ -133,16 +134,16 @@ def write(given, before, out, said):
     if given.photograph:
         name, values = given.photograph
         (out / "left.png").unlink()
-        write_photograph(out / name, values)
+        write_photograph(out / name, values, given.quality)
     (out / "truth" / "deviation.json").write_text(json.dumps(said, indent=1) + "\n")
 
 
-def write_photograph(path, values):
-    """8 or 16 bits as the values are; a .jpg at quality 80."""
+def write_photograph(path, values, quality=80):
+    """8 or 16 bits as the values are; a .jpg of such a quality."""
     if path.suffix == ".jpg":
         import cv2
 
-        _, code = cv2.imencode(".jpg", np.ascontiguousarray(values[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 80])
+        _, code = cv2.imencode(".jpg", np.ascontiguousarray(values[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
         path.write_bytes(code.tobytes())
     else:
         (image.write_png8 if values.dtype == np.uint8 else image.write_png16)(path, values)
