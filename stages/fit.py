@@ -91,11 +91,13 @@ def main(opt):
             lobes=task.lobes,
             refined=task.refined,
             why=answer.why,
+            sigma_scale=answer.sigma_scale,
             climb=answer.climb,
             textures=textures,
         )
         report.status = described.status
-        report["scale"], report["iterations"] = answer.scale, result.iterations
+        report["scale"], report["iterations"] = described.scale, result.iterations
+        report["to"] = described.to
         report["uncertainty"], report["misfit"] = result.shares, result.misfit
         report["correlated"] = result.correlated
         more = describe.warnings(answer.problem, result, described, task.found)

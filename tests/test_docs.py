@@ -162,10 +162,9 @@ NOT_BUILT = {
     "sweep": (r"/sweep\b", None, None),
     "figures": (r"make \w+/figures", None, None),
     "many": (r"make many", None, None),
-    "approximate": (r"\bapproximate\b", None, None),
     "map_Kd": (r"map_Kd", None, None),
     "baseColorTexture": (r"baseColorTexture", None, None),
-    **dict.fromkeys(("surfaces", "to", "model_error", "does not fit")),
+    **dict.fromkeys(("surfaces", "model_error")),
     **dict.fromkeys(("materials.json", "explain", "explained", "noise", "photos/", "photos.json", "photos", "lamps")),
 }
 

@@ -148,5 +148,6 @@ def test_without_leave_the_missing_wall_is_named(tmp_path):
         with open(folder / "scene.yaml", "a") as file:
             file.write("\nexplain: [curve, vignetting]\ngoals: [materials.json]\n")
 
-    _, found, _ = deviated(tmp_path, without_wall, "flat-grey")
-    assert found["status"] == "does not fit" and "open_model" in [why["cause"] for why in found["why"]]
+    _, found, off = deviated(tmp_path, without_wall, "flat-grey")
+    assert found["status"] in ("approximate", "does not fit") and off < 3
+    assert "open_model" in [why["cause"] for why in found["why"]]

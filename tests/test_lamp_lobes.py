@@ -189,6 +189,12 @@ def error(found):
     return np.mean([np.abs(np.divide(ours, true) - 1) for ours, true in pairs if ours is not None])
 
 
+def most_in_sigmas(found):
+    """Of what is claimed; 0 where nothing is."""
+    claims = [(group, TRUTH.groups[name]) for name, group in found.groups.items() if group.identified]
+    return max((np.abs(np.subtract(g.rho_d, t.rho_d) / g.sigma.rho_d).max() for g, t in claims), default=0)
+
+
 @pytest.mark.scene
 def test_a_lobe_that_is_told_is_taken_as_it_is(tmp_path):
     true = TRUTH.lamps["lamp"].lobe
@@ -217,13 +223,14 @@ def test_the_ladder_climbs_in_the_light_of_a_lobe(tmp_path):
 @pytest.mark.slow
 def test_without_leave_a_lobe_is_a_misfit(tmp_path):
     found = fitted(tmp_path, "lamps: {lamp: [36.2979, 31.3137, 27.1693]}\nexplain: []\n")
-    assert found.status == "does not fit" and not any(group.identified for group in found.groups.values())
+    assert found.status in ("approximate", "does not fit") and found.why and most_in_sigmas(found) < 3
 
 
 @pytest.mark.scene
 def test_a_lobe_that_is_told_wrongly_is_named(tmp_path):
     true = TRUTH.lamps["lamp"].lobe
     found = fitted(tmp_path, LAMP_YAML % json.dumps({"aim": list(true.aim), "exponent": true.exponent + 1}))
-    assert found.status == "does not fit" and [(why.cause, why.subject) for why in found.why] == [("lamp_lobe", "lamp")]
+    assert found.status in ("approximate", "does not fit") and most_in_sigmas(found) < 3
+    assert [(why.cause, why.subject) for why in found.why] == [("lamp_lobe", "lamp")]
     said = float(found.why[0].text.split("cos^")[1].split()[0])
     assert said == pytest.approx(true.exponent, abs=0.1)

@@ -74,7 +74,7 @@ def test_what_does_not_fit_is_no_finding():
         page.one("span", "badge").text == "Does not fit" and "gamma 2.004 (no finding)" in page.one("p", "verdict").text
     )
     rows = {row[1].split()[0]: row for row in page.section("Materials").one("table").rows()}
-    assert "no finding: the photograph does not fit" in rows["wall"][1] and "±" not in rows["wall"][2]
+    assert "no finding: the photograph does not fit it" in rows["wall"][1] and "±" not in rows["wall"][2]
 
 
 def test_everything():

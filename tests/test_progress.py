@@ -54,6 +54,8 @@ def test_the_last_line(tmp_path):
     page = tmp_path / "report.html"
     said = progress.summary(tmp_path, "attic", str(page), time.time() - 22, ["index", "fit", "render", "report"])
     assert said == f"attic: 0.50 %, 1 of 2 materials, 2 warnings, 22 s: file://{page}"
+    report(tmp_path, "fit", status="approximate", to=0.0412)
+    assert "approximate, to about 4 %" in progress.summary(tmp_path, "office", "report.html", 0, ["fit"])
     report(tmp_path, "fit", status="does not fit")
     said = progress.summary(tmp_path, "attic", str(page), time.time() - 22, ["index", "fit", "render", "report"])
     assert said.startswith("attic: does not fit, 0.50 %,")

@@ -183,8 +183,8 @@ def test_a_mirror_under_light_that_does_not_fit_is_no_diffuse_surface(tmp_path):
         with open(folder / "scene.yaml", "a") as facts:
             facts.write("\nexplain: [curve, vignetting, lamp_lobe]\n")
 
-    _, found, _ = deviated(tmp_path, change, "office-mirror")
-    assert found["status"] == "does not fit"
+    _, found, off = deviated(tmp_path, change, "office-mirror")
+    assert found["status"] in ("approximate", "does not fit") and off < 3
 
 
 @pytest.mark.slow
@@ -257,9 +257,10 @@ def test_what_the_model_has_not_is_named(tmp_path, cause):
     without = lambda line, thing: None if thing == "carton" and line[0] in "of" else line
     other = lambda line, thing: "usemtl door" if thing == "carton" and line.startswith("usemtl") else line
 
-    _, found, _ = deviated(tmp_path, lambda f: obj(f, without if cause == "object_missing" else other), "office")
-    assert found["status"] == "does not fit" and cause in [why["cause"] for why in found["why"]]
-    assert not any(group["identified"] for group in found["groups"].values())
+    _, found, off = deviated(tmp_path, lambda f: obj(f, without if cause == "object_missing" else other), "office")
+    assert found["status"] == "approximate" and cause in [why["cause"] for why in found["why"]]
+    known = [name for name, group in found["groups"].items() if group["identified"]]
+    assert len(known) > 8 and off < 3 and (cause == "object_missing" or "door" not in known)
 
 
 def test_what_looks_at_a_lamp_from_near_by_is_known():
@@ -278,5 +279,6 @@ def test_a_wrong_lamp_beside_a_mirror_does_not_hide_behind_a_curve(tmp_path):
         facts = folder / "scene.yaml"
         facts.write_text(facts.read_text().replace("[32, 30.72, 28.16]", "[41, 39.3, 36]"))
 
-    _, found, _ = deviated(tmp_path, brighter, "office-mirror")
-    assert found["status"] == "does not fit" and [w["cause"] for w in found["why"]] == ["lamp_power"]
+    _, found, off = deviated(tmp_path, brighter, "office-mirror")
+    assert found["status"] in ("approximate", "does not fit") and [w["cause"] for w in found["why"]] == ["lamp_power"]
+    assert found["scale"] == "contradicted" and max(found["sigma_scale"]) > 0.15 and off < 3

@@ -36,13 +36,15 @@ from lib.core.record import (
     word,
 )
 from lib.core.stage import BadInput
+from lib.core.words import about
 from lib.given import transfer_kinds
 from lib.given.kinds import KINDS, LOBES, MIRRORS
 from lib.given.transfer import Transfer
 
-STATUSES = ("converged", "not converged", "does not fit", "nothing seen")  # of a fit; truth says "truth"
+# of a fit; truth says "truth"
+STATUSES = ("converged", "approximate", "not converged", "does not fit", "nothing seen")
 WORST_CONDITION = 100.0  # of a colour matrix: cameras' have 2 to 5
-SCALES = ("lamps", "reference", "interreflection", "convention")
+SCALES = ("lamps", "reference", "interreflection", "convention", "contradicted")
 
 
 def _textures(value):
@@ -276,14 +278,19 @@ class Fit:
 class Materials:
     """The whole file. scale : what fixed the scale of the light, of SCALES
 
-    explained : causes that were taken, best first;  why : what is likeliest wrong, where the status is `does not fit`
+    to : how well values are known where the status is `approximate` or worse, median of sigma / rho of seen groups
+    sigma_scale : of what all values have in common, relatively and by channel, where the scale is contradicted
+    explained : causes that were taken, best first
+    why : what is likeliest wrong, where the status is `approximate` or `does not fit`
     """
 
     status: str | None = told(word())
     groups: dict = table_of(Group, needed="a table of groups")
     lamps: dict = table_of(Lamp)
     transfer: FoundTransfer = part(FoundTransfer)
+    to: float | None = told(number(0), absent=True)
     scale: str | None = told(word(*SCALES))
+    sigma_scale: tuple | None = told(numbers(3, 0), absent=True)
     image: Fit = part(Fit)
     explained: list = list_of(Cause)
     why: list = list_of(Why)
@@ -291,10 +298,12 @@ class Materials:
     @property
     def cautions(self) -> list[str]:
         """What is to be said of all that is made from these materials, lines."""
-        if self.status != "does not fit":
+        if self.status not in ("approximate", "does not fit"):
             return []
         why = self.why[0].text if self.why and self.why[0].text else "photograph and given facts disagree"
-        return [f"the scene does not fit its photograph, and what is made from it is off as well: {why}"]
+        if self.status == "does not fit":
+            return [f"the scene does not fit its photograph, and what is made from it is off as well: {why}"]
+        return [f"the scene fits its photograph {about(self.to)}, and what is made from it is as good: {why}"]
 
     @property
     def lobes(self):

@@ -144,7 +144,7 @@ def _nothing_seen(state):
 
 
 def _does_not_fit(state):
-    if state.status != "does not fit":
+    if state.status not in ("approximate", "does not fit"):
         return
     why = [_table(one) for one in state.materials.get("why") or []]
     first = [one for one in why if one.get("cause") != "unknown"] or why
@@ -230,7 +230,7 @@ def _geometry(state):
 
 def _made(state):
     """It fits: what it is good for."""
-    if state.status != "converged" or state.pose.get("status") == "ambiguous":
+    if state.status not in ("converged", "approximate") or state.pose.get("status") == "ambiguous":
         return
     if "export" not in state.reports:
         yield f"Take it to Blender, Mitsuba, Radiance or USD: `{state.make}/export` writes `{state.build}/exports/`."

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from lib.core import artefact
 from lib.core.stage import BadInput
+from lib.core.words import about
 from lib.planning import gallery, next_steps
 
 # Seconds of a run on two cores, 640 x 480 px, without compiling; what grows with the photograph, and what does not
@@ -55,7 +56,7 @@ def summary(build, title, page, began, stages) -> str:
     """
     build = Path(build)
     reports = [_read(build / f"{name}.report.json") for name in stages]
-    words = list(dict.fromkeys(r.get("status") for r in reports if r.get("status") in SAID))
+    words = list(dict.fromkeys(_status(r) for r in reports if r.get("status") in SAID))
     rmse = _read(build / "rendered.json").get("rmse") if "render" in stages else None
     if isinstance(rmse, float):
         words.append(f"{100 * rmse:.2f} %")
@@ -77,7 +78,13 @@ def summary(build, title, page, began, stages) -> str:
     return f"{title}: {', '.join(words)}: {place}"
 
 
-SAID = ("not converged", "does not fit", "nothing seen", "ambiguous", "symmetric")
+SAID = ("not converged", "approximate", "does not fit", "nothing seen", "ambiguous", "symmetric")
+
+
+def _status(report):
+    """As it is said: `approximate, to about 4 %`."""
+    status, to = report["status"], report.get("to")
+    return f"{status}, {about(to)}" if status == "approximate" and isinstance(to, float) else status
 
 
 def main():

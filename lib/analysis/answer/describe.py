@@ -25,7 +25,11 @@ if TYPE_CHECKING:
 NONE = (0.0, 0.0, 0.0)
 CURVE_SAMPLES = 256
 MOST_OF_LAMP = 10.0  # standard deviation of an emittance, over it, that tells nothing
-FACTS = {"lamp_power", "lamp_colour", "lamp_flipped", "transfer", "range", "units", "up_axis", "camera"}  # told wrongly
+# What is told wrongly, so that no residual and no other fit says how far values are off.
+BEYOND_SIGMA = {"lamp_flipped", "range", "units", "up_axis", "camera"}
+MEANS_NOTHING = 0.3  # median of sigma / rho above which an answer is none (SCENE.md 4)
+# Where model and photograph disagree, a value is a finding if its sigma is at most so much of it, or so small.
+KNOWN_TO, DARK = 0.5, 0.02
 
 
 def describe(
@@ -38,6 +42,7 @@ def describe(
     explained: Explained,
     refined=(),
     why=(),
+    sigma_scale=None,
     curve=None,
     lobes=None,
     climb: Climb | None = None,
@@ -49,15 +54,14 @@ def describe(
     lobes : {lamp: (4,)} as scene.yaml has them
     curve : that scene.yaml tells, of three channels
     transfer : as scene.yaml has it, or None;  why : [Why] where photograph and given facts do not agree
+    sigma_scale : (C,) of contradictions.doubt_told, or None
     climb : where a group is not diffuse;  textures : by group
     """
     errors = group_rmse(problem, result.tile_residual)
     specular = () if climb is None or climb.finish is None else climb.finish.groups
     accused = {w.subject for w in why if w.cause == "group_wrong"}
-    told = {problem.groups[g] for g in problem.known_groups}
-    # no residual tells how far values are off that rest on this
-    wrong = any(w.cause in FACTS for w in why) or bool(told & accused)
-    groups = {}
+    wrong = any(w.cause in BEYOND_SIGMA for w in why)
+    groups, told = {}, set()
     for g, name in enumerate(problem.groups):
         if name in problem.lamps:
             continue
@@ -65,28 +69,60 @@ def describe(
         if climb is not None:
             group = _of_rung(group, climb, g, (textures or {}).get(g))
         known = g in problem.known_groups and g not in specular and name not in accused
+        told |= {name} if known else set()
         if group.sigma.rho_d is not None and believed(group.sigma.rho_d, 1.0) is None:
             group = replace(group, identified=False, sigma=replace(group.sigma, rho_d=None))
         if why and not known:
-            group = replace(group, identified=False, sigma=Sigma() if wrong else group.sigma)
+            own = group.identified and name not in accused and _is_known(group)
+            group = replace(group, identified=own, sigma=Sigma() if wrong else group.sigma)
         groups[name] = group
     nothing = len(problem.tile_group) == 0
+    to = known_to(groups, {problem.groups[g] for g in problem.known_groups}) if why else None
+    meaningless = wrong or bool(why) and (to is None or to > MEANS_NOTHING)
+    if meaningless:
+        groups = {name: group if name in told else replace(group, identified=False) for name, group in groups.items()}
     status = "nothing seen" if nothing else "converged" if result.converged and result.balanced else "not converged"
-    status = "does not fit" if why and not nothing else status
+    if why and not nothing and (meaningless or status == "converged"):
+        status = "does not fit" if meaningless else "approximate"
     rmse = None if nothing or not np.isfinite(result.rmse) else float(result.rmse)
     moved = {cause.subject: cause for cause in refined if cause.cause == "lamp_place"}
     lamps = {}
     for k in np.flatnonzero(problem.own_lamps):
         name = problem.lamps[k]
         lamp = _lamp(problem, result, k, scale, explained, lobes or {}, moved)
-        if why and lamp.identified:
+        if meaningless and lamp.identified:
             lamp = replace(lamp, identified=False, sigma=None if wrong else lamp.sigma)
         lamps[name] = lamp
     function = _transfer(problem, result, transfer, explained.rivals, curve)
     function = replace(function, sigma=None) if wrong else function
     fit = Fit(rmse, int(result.iterations))
     causes = sorted([*refined, *_causes(explained, problem, result)], key=lambda cause: -(cause.evidence_nats or 0))
-    return Materials(status, groups, lamps, function, scale, fit, causes, list(why))
+    scale = scale if sigma_scale is None else "contradicted"
+    sigma_scale = None if sigma_scale is None else _three(sigma_scale)
+    return Materials(status, groups, lamps, function, to, scale, sigma_scale, fit, causes, list(why))
+
+
+def _is_known(group: Group) -> bool:
+    """Its values are findings by their own sigma, in every channel."""
+    values = group.rho_s if group.is_mirror else group.rho_d
+    sigma = group.sigma.rho_s if group.is_mirror else group.sigma.rho_d
+    return sigma is not None and all(s <= max(KNOWN_TO * v, DARK) for v, s in zip(values, sigma, strict=True))
+
+
+def known_to(groups, given=()) -> float | None:
+    """Median of sigma / rho over the groups that are seen, {name: Group}; None where no sigma is known.
+
+    given : groups whose reflectance is told
+    """
+    shares = []
+    for name, group in groups.items():
+        values = group.rho_s if group.is_mirror else group.rho_d
+        sigma = group.sigma.rho_s if group.is_mirror else group.sigma.rho_d
+        if values is None or name in given or group.error is None:
+            continue
+        shares.append(np.inf if sigma is None else np.mean(sigma) / max(np.mean(values), 1e-9))
+    found = float(np.median(shares)) if shares else np.inf
+    return found if np.isfinite(found) else None
 
 
 def _causes(explained: Explained, problem, result) -> list[Cause]:

@@ -12,7 +12,7 @@ import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lib.analysis.answer import blackness, disagreements, told_first
+from lib.analysis.answer import blackness, contradictions, disagreements, told_first
 from lib.analysis.answer.answers import Answer, answered, looked
 from lib.analysis.answer.own_materials import materials
 from lib.analysis.answer.task import Task
@@ -38,11 +38,23 @@ def solve(task: Task, report: Report) -> Answer:
     dark = blackness.groups(task)
     answer = blackness.solved(task, dark, once) if dark else once(task)
     answer.why = disagreements.of_the_file(answer.why, task.view().photograph) if task.can_look else answer.why
+    if answer.why:
+        _doubt(task, answer)
     if answer.ladder:
         report["ladder"] = answer.ladder
     if task.asked:
         report["questions"] = [question.row() for question in task.asked]
     return answer
+
+
+def _doubt(task, answer: Answer):
+    """Every sigma holds what photograph and facts do not agree in."""
+    if answer.audit is None and task.can_look:
+        answer.audit, answer.judged = looked(task, answer.explained)
+    if answer.climb is None and answer.audit is not None:
+        answer.audit.doubt(answer.problem, answer.result, answer.judged)
+    answer.result.warnings[:] = dict.fromkeys(answer.result.warnings)
+    answer.sigma_scale = contradictions.doubt_told(answer, task.transfer)
 
 
 def _solved(task: Task, report: Report) -> Answer:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lib.analysis.causes import colour_mixing, gammas, one_object, patterned, response, told_lamps
+from lib.analysis.causes import colour_mixing, gammas, one_object, patterned, response, saturation, told_lamps
 from lib.analysis.causes.candidates import USUAL_NUMBERS, Candidate, enough
 from lib.analysis.causes.cause import settled
 from lib.analysis.causes.explained import Explained, Taken
@@ -63,7 +63,9 @@ def finished(given: Candidate, begun: Candidate, taken, scope: Scope, options) -
 def doubted(best: Candidate) -> CauseTerms | None:
     """What the camera may be as well."""
     function, mixing = response.doubted(best.problem, best.result.state), colour_mixing.doubted(best)
-    return function.beside(mixing) if function else mixing
+    colours = saturation.doubted(best)
+    colours = colours.beside(mixing) if colours else mixing
+    return function.beside(colours) if function else colours
 
 
 def _begun(first: Candidate, scope: Scope) -> Candidate:

@@ -49,6 +49,11 @@ def doubt_references(problem, result):
         doubt(result, free.result.state, min(np.sqrt(gain / least), 1.0))
 
 
+def freed_as_found(problem, result) -> Candidate:
+    """The rough fit with other reflectances of told groups, from where a fit ended."""
+    return _free_references(problem, result)[0]
+
+
 def references_told(problem) -> list[int]:
     """Groups that tiles show, whose diffuse reflectance is told."""
     specular = () if problem.specular is None else problem.specular.groups

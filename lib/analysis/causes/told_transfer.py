@@ -66,6 +66,14 @@ def doubt_told(problem, result, asked):
         doubt(result, found.result.state, min(np.sqrt(gain / least), 1.0))  # nats grow as the square of what is wrong
 
 
+def instead(problem, result, asked) -> Candidate | None:
+    """The likeliest fit with another transfer function than the one that is told; None where none is."""
+    if asked in (None, "auto", *OF_PICTURE):
+        return None
+    here = Candidate(problem, result, evidence(problem, result.at))
+    return max((_free_gamma(problem, result)[0], *response.fitted(here)), key=lambda c: c.evidence.nats)
+
+
 def _as_told(problem, result) -> CauseTerms:
     """How far a told function may be off: another gamma, or as much of an exponent; what is said to be sRGB may be a
     gamma."""

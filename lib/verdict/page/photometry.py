@@ -188,7 +188,7 @@ def _status_words(group: Group):
         given = sigma and not any(sigma) and not group.is_mirror
         return "", "given as a reference" if given else "identified"
     if group.rho_d:
-        return "no finding: the photograph does not fit", ""
+        return "no finding: the photograph does not fit it", ""
     why = f"none of its {number(group.pixels)} pixels can be trusted" if group.pixels else "never seen"
     return f"{why}; {'assumed from the other groups' if group.assumed else 'no value'}", ""
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lib.core import words
 from lib.verdict.page import ladder, vision
 from lib.verdict.page.html import finite, fixed, number, percent, plural, pm, render
 from lib.verdict.page.parts import Parts
@@ -36,7 +37,7 @@ class Fact(NamedTuple):
 def verdict(parts: Parts) -> Verdict:
     """What came out, in one word and in a few sentences."""
     weak = [stage for stage, report in parts.reports.items() if report.status == "not converged"]
-    kind, badge = _badge(_status(parts), weak)
+    kind, badge = _badge(_status(parts), weak, parts.materials.to if parts.materials else None)
     said = _first_sentence(parts)
     error = parts.compared.error("reflectance.mean_relative")
     if finite(error):
@@ -69,9 +70,11 @@ def _status(parts: Parts):
     return next((report.status for report in reversed(parts.reports.values()) if report.status), None)
 
 
-def _badge(status, weak):
+def _badge(status, weak, to=None):
     if status == "does not fit":
         return "bad", "Does not fit"
+    if status == "approximate":
+        return "warn", f"Approximate, {words.about(to)}" if finite(to) else "Approximate"
     if status == "not converged" or weak:
         return "warn", "Not converged"
     if status in ("converged", "complete", "unique"):

@@ -1,0 +1,64 @@
+"""Told numbers that the photograph contradicts: how far values that rest on them may be off.
+
+Lamps, a transfer function or a reference that are told stand in the fit as they are told. Where others explain the
+photograph better, either may be so: what the others would make of a value is in its sigma, so that the truth lies
+within it whichever holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lib.analysis.causes import told_lamps, told_reference, told_transfer
+from lib.analysis.causes.candidates import Candidate
+from lib.analysis.fit.equations import Unknowns
+from lib.analysis.fit.uncertainty import doubt
+from lib.given.transfer import Transfer
+
+LAMPS = ("lamp_power", "lamp_colour")
+
+
+def doubt_told(answer, asked):
+    """Every sigma of the answer holds what a contradicted number would be instead.
+
+    asked : transfer, as scene.yaml has it, or None
+    Returns the relative standard deviation (C,) of what all values have in common by it, or None: the scale stands.
+    """
+    causes = {w.cause for w in answer.why}
+    problem, result = answer.problem, answer.result
+    if result.sigma_rho is None:
+        return None
+    off = None
+    if causes & set(LAMPS) and told_lamps.are_told(problem):
+        off = np.max([_doubt_lamps(answer, other) for other in _with_other_lamps(problem, result)], axis=0)
+    if "transfer" in causes and (other := told_transfer.instead(problem, result, asked)):
+        doubt(result, other.result.state)
+    told = {problem.groups[g] for g in told_reference.references_told(problem)}
+    accused = told & {w.subject for w in answer.why if w.cause == "group_wrong"}
+    if accused:
+        state = told_reference.freed_as_found(problem, result).result.state
+        doubt(result, state)
+        here = [problem.groups.index(name) for name in accused]
+        off = np.abs(state.rho[here] / np.maximum(problem.rho[here], 1e-9) - 1).max(axis=0)
+    return off
+
+
+def _doubt_lamps(answer, other: Candidate):
+    """(C,) by how much lamps are brighter or darker there than they are told."""
+    problem, state = answer.problem, other.result.state
+    doubt(answer.result, state)
+    own = problem.own_lamps
+    return np.abs(state.E[own] / np.maximum(problem.emittance[own], 1e-12) - 1).max(axis=0)
+
+
+def _with_other_lamps(problem, result):
+    """The fits with lamps of any emittance: under the function that was found, and under a plain gamma where a curve
+    was taken, since it bends to lamps that are told wrongly."""
+    state, free = result.state, told_lamps.freed(problem)
+    start = Unknowns(state.rho, state.E, state.transfer, state.rho_s)
+    yield Candidate.of(free, start=start)
+    if state.transfer.kind == "curve" and problem.fit_transfer:
+        plain = replace(free, transfer=Transfer("gamma", 2.2, matrix=problem.transfer.matrix), doubted=None)
+        yield Candidate.of(plain, start=start._replace(transfer=plain.transfer))
