@@ -1,8 +1,10 @@
-"""Told numbers that the photograph contradicts: how far values that rest on them may be off.
+"""Told numbers where photograph and model disagree: how far values that rest on them may be off.
 
 Lamps, a transfer function or a reference that are told stand in the fit as they are told. Where others explain the
 photograph better, either may be so: what the others would make of a value is in its sigma, so that the truth lies
-within it whichever holds.
+within it whichever holds. Lamps are asked in every answer that is not exact: what the model lacks takes light from all
+that it has, which no residual shows, but the light between surfaces does. A room without the furniture behind the
+camera was 4.7 % off as a whole, and lamps that were free came out 5.5 % weaker.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ LAMPS = ("lamp_power", "lamp_colour")
 
 
 def doubt_told(answer, asked):
-    """Every sigma of the answer holds what a contradicted number would be instead.
+    """Every sigma of an answer in which something is wrong holds what a told number may be instead.
 
     asked : transfer, as scene.yaml has it, or None
     Returns the relative standard deviation (C,) of what all values have in common by it, or None: the scale stands.
@@ -31,8 +33,9 @@ def doubt_told(answer, asked):
     if result.sigma_rho is None:
         return None
     off = None
-    if causes & set(LAMPS) and told_lamps.are_told(problem):
-        off = np.max([_doubt_lamps(answer, other) for other in _with_other_lamps(problem, result)], axis=0)
+    if told_lamps.are_told(problem):
+        lamps = np.max([_doubt_lamps(answer, other) for other in _with_other_lamps(problem, result)], axis=0)
+        off = lamps if causes & set(LAMPS) else None
     if "transfer" in causes and (other := told_transfer.instead(problem, result, asked)):
         doubt(result, other.result.state)
     told = {problem.groups[g] for g in told_reference.references_told(problem)}
