@@ -182,6 +182,11 @@ def test_at_most_three_lines_and_each_a_sentence():
     assert len(said) == 3 and all(line.endswith((".", ").")) and line.count("`") % 2 == 0 for line in said)
 
 
+def test_two_things_that_are_missing_are_one_line():
+    said = steps(state("approximate", why=[why("object_missing"), why("object_missing")]))
+    assert len(said) == len(set(said)) and sum("missing" in line for line in said) == 1
+
+
 @pytest.mark.parametrize("broken", [None, 3, [], "x", {"why": "x", "groups": [1], "status": ["x"]}])
 def test_files_of_others_may_hold_anything(tmp_path, broken):
     for name in ("materials.json", "pose.json", "check.json", "fit.report.json", "check.report.json"):

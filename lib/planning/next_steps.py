@@ -94,10 +94,7 @@ def _table(value):
 
 def steps(state: State) -> list[str]:
     """One to three lines, the first thing first; none where the run says nothing of how it ended."""
-    lines = []
-    for rule in RULES:
-        lines += [line for line in rule(state) if line not in lines]
-    return lines[:MOST]
+    return list(dict.fromkeys(line for rule in RULES for line in rule(state)))[:MOST]
 
 
 # ---- rules: one for each way to end; what stands above comes first ----
