@@ -60,7 +60,9 @@ def describe(
     errors = group_rmse(problem, result.tile_residual)
     specular = () if climb is None or climb.finish is None else climb.finish.groups
     accused = {w.subject for w in why if w.cause == "group_wrong"}
-    wrong = any(w.cause in BEYOND_SIGMA for w in why)
+    # beside lobes another function is fitted to the light of lobes that were found under the told one
+    beyond = BEYOND_SIGMA | ({"transfer"} if specular else set())
+    wrong = any(w.cause in beyond for w in why)
     groups, told = {}, set()
     for g, name in enumerate(problem.groups):
         if name in problem.lamps:
