@@ -303,7 +303,8 @@ class Materials:
         why = self.why[0].text if self.why and self.why[0].text else "photograph and given facts disagree"
         if self.status == "does not fit":
             return [f"the scene does not fit its photograph, and what is made from it is off as well: {why}"]
-        return [f"the scene fits its photograph {about(self.to)}, and what is made from it is as good: {why}"]
+        known = "roughly" if self.to is None else about(self.to)
+        return [f"the scene fits its photograph {known}, and what is made from it is as good: {why}"]
 
     @property
     def lobes(self):

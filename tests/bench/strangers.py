@@ -146,7 +146,8 @@ def table(rows):
         errors = sorted(100 * r["mean"] for r in green if r["mean"] is not None)
         sigmas = np.array([s for r in green for s in r["in_sigmas"]])
         within = lambda z, sigmas=sigmas: 100 * np.mean(sigmas <= z) if len(sigmas) else np.nan
-        sharp = np.median([s for r in green for s in r["sigma"]]) / np.median([s for r in green for s in r["relative"]])
+        typical = lambda name, green=green: float(np.median([v for r in green for v in r.get(name, ())] or [np.nan]))
+        sharp = typical("sigma") / max(typical("relative"), 1e-9)
         times = sorted(r["cpu_s"] for r in all_of if "cpu_s" in r)
         shown = [
             f"{kind:16s} {len(all_of):4d} {sum(r['status'] == 'converged' for r in green):4d}",

@@ -9,13 +9,11 @@ camera was 4.7 % off as a whole, and lamps that were free came out 5.5 % weaker.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from lib.analysis.causes import told_lamps, told_reference, told_transfer
 from lib.analysis.causes.candidates import Candidate
-from lib.analysis.fit.equations import Unknowns
+from lib.analysis.fit.facts import USUAL_GAMMA
 from lib.analysis.fit.uncertainty import doubt
 from lib.given.transfer import Transfer
 
@@ -48,20 +46,16 @@ def doubt_told(answer, asked):
     return off
 
 
+def _with_other_lamps(problem, result):
+    """Rough fits with lamps of any emittance: under the function that was found, and a gamma in place of a curve."""
+    yield told_lamps.freed_as_found(problem, result)
+    if result.state.transfer.kind == "curve" and problem.fit_transfer:
+        yield told_lamps.freed_under(Transfer("gamma", USUAL_GAMMA), problem, result)
+
+
 def _doubt_lamps(answer, other: Candidate):
     """(C,) by how much lamps are brighter or darker there than they are told."""
     problem, state = answer.problem, other.result.state
     doubt(answer.result, state)
     own = problem.own_lamps
     return np.abs(state.E[own] / np.maximum(problem.emittance[own], 1e-12) - 1).max(axis=0)
-
-
-def _with_other_lamps(problem, result):
-    """The fits with lamps of any emittance: under the function that was found, and under a plain gamma where a curve
-    was taken, since it bends to lamps that are told wrongly."""
-    state, free = result.state, told_lamps.freed(problem)
-    start = Unknowns(state.rho, state.E, state.transfer, state.rho_s)
-    yield Candidate.of(free, start=start)
-    if state.transfer.kind == "curve" and problem.fit_transfer:
-        plain = replace(free, transfer=Transfer("gamma", 2.2, matrix=problem.transfer.matrix), doubted=None)
-        yield Candidate.of(plain, start=start._replace(transfer=plain.transfer))

@@ -106,9 +106,13 @@ def describe(
 
 def _is_known(group: Group) -> bool:
     """Its values are findings by their own sigma, in every channel."""
-    values = group.rho_s if group.is_mirror else group.rho_d
-    sigma = group.sigma.rho_s if group.is_mirror else group.sigma.rho_d
+    values, sigma = _reflects(group)
     return sigma is not None and all(s <= max(KNOWN_TO * v, DARK) for v, s in zip(values, sigma, strict=True))
+
+
+def _reflects(group: Group):
+    """(its reflectance, standard deviations of it): a mirror's rho_s, else rho_d; either may be None."""
+    return (group.rho_s, group.sigma.rho_s) if group.is_mirror else (group.rho_d, group.sigma.rho_d)
 
 
 def known_to(groups, given=()) -> float | None:
@@ -118,8 +122,7 @@ def known_to(groups, given=()) -> float | None:
     """
     shares = []
     for name, group in groups.items():
-        values = group.rho_s if group.is_mirror else group.rho_d
-        sigma = group.sigma.rho_s if group.is_mirror else group.sigma.rho_d
+        values, sigma = _reflects(group)
         if values is None or name in given or group.error is None:
             continue
         shares.append(np.inf if sigma is None else np.mean(sigma) / max(np.mean(values), 1e-9))

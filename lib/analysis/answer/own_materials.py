@@ -126,10 +126,10 @@ def _keeps_causes(answer) -> bool:
 def _asked_again(task, answer, report, scope) -> Answer:
     if not scope.response or not _has_mirrors(answer):
         return answer
-    return _in_mixed_colours(task, _under_another_response(task, answer, report, scope))
+    return _in_mixed_colours(task, _under_another_response(task, answer, report, scope), scope)
 
 
-def _in_mixed_colours(task, answer) -> Answer:
+def _in_mixed_colours(task, answer, scope) -> Answer:
     """The last fit with a camera that mixes colours, where it explains enough more: the diffuse fit saw the colours of
     what mirrors throw, too, and took neither for the camera's."""
     before = answer.candidate
@@ -139,7 +139,7 @@ def _in_mixed_colours(task, answer) -> Answer:
     mixed = mixing.fitted(before)
     if not mixed.beats(before) or not mixing.is_physical(mixed, before):
         return answer
-    problem = replace(mixed.problem, doubted=response.doubted(mixed.problem, mixed.result.state))
+    problem = replace(mixed.problem, doubted=search.doubted(mixed, scope))
     result, scale = fit(problem, start=mixed.start._replace(near=None), **task.options)
     taken = Taken(mixing.name, mixed.evidence.nats - before.evidence.nats, {})
     climb = replace(answer.climb, problem=problem, result=result, scale=scale)
@@ -258,7 +258,7 @@ def _with_causes(task, explained, done, scope) -> Ascent:
     open_ = [c for c in of_camera if c.name in before.names] if alone else []
     for c in open_:
         cause = c.left_open(problem, at, explained.values[c.name]).beside(cause)
-    doubted = search.doubted(found) if scope.response else None
+    doubted = search.doubted(found, scope)
     problem = replace(problem, cause=cause, doubted=doubted, **_known_of(explained.problem, task.found.tiles, tiles))
     result, scale = fit(problem, start=found.start._replace(near=None), **task.options)
     view = task.view()

@@ -17,6 +17,7 @@ class Scope:
     """What may be explained.
 
     response : the transfer function is free;  allowed : names of causes that may be taken
+    camera : it may do more than its transfer function says, which was not measured
     lens, pixel : where the pixels (M,) of the tiles lie;  None: nothing is known of the lens
     lobes : lamp_lobe.LampLobe, None where nothing is known of the ways of their light
     vain : nothing can be learnt from such values
@@ -24,6 +25,7 @@ class Scope:
     """
 
     response: bool = True
+    camera: bool = True
     allowed: tuple = BUILT
     lens: Lens | None = None
     pixel: np.ndarray | None = None
@@ -36,9 +38,17 @@ class Scope:
         """camera : Camera or None;  transfer, allowed : of scene.yaml, None: all that is left open"""
         lens = None if camera is None else Lens((camera.K[0, 2], camera.K[1, 2]), (camera.width, camera.height))
         allowed = tuple(BUILT if allowed is None else allowed)
-        response = transfer in (None, "auto") and "curve" in allowed
+        camera = "curve" in allowed and not (isinstance(transfer, dict) and "curve" in transfer)
+        response = camera and transfer in (None, "auto")
         return cls(
-            response, allowed, lens, gathered.tiles.pixel, lobes, out_of_range(gathered), [] if asked is None else asked
+            response,
+            camera,
+            allowed,
+            lens,
+            gathered.tiles.pixel,
+            lobes,
+            out_of_range(gathered),
+            [] if asked is None else asked,
         )
 
     def note(self, question):

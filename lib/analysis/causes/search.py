@@ -52,7 +52,7 @@ def finished(given: Candidate, begun: Candidate, taken, scope: Scope, options) -
     """With the causes that the photograph supports beside those of `begun`, [Taken]."""
     best, more, functions = climbed(begun, scope)
     variance = patterned.still(best, scope.pixel, scope.lens)
-    problem = replace(best.problem, doubted=doubted(best) if scope.response else None, variance=variance)
+    problem = replace(best.problem, doubted=doubted(best, scope), variance=variance)
     result, scale = fit(problem, start=best.start, **options)
     result.iterations += best.result.iterations
     return Explained(
@@ -60,12 +60,13 @@ def finished(given: Candidate, begun: Candidate, taken, scope: Scope, options) -
     )
 
 
-def doubted(best: Candidate) -> CauseTerms | None:
+def doubted(best: Candidate, scope: Scope) -> CauseTerms | None:
     """What the camera may be as well."""
-    function, mixing = response.doubted(best.problem, best.result.state), colour_mixing.doubted(best)
-    colours = saturation.doubted(best)
-    colours = colours.beside(mixing) if colours else mixing
-    return function.beside(colours) if function else colours
+    terms = saturation.doubted(best) if scope.camera else None
+    if scope.response:
+        for more in (colour_mixing.doubted(best), response.doubted(best.problem, best.result.state)):
+            terms = more.beside(terms) if more else terms
+    return terms
 
 
 def _begun(first: Candidate, scope: Scope) -> Candidate:

@@ -14,6 +14,7 @@ from lib.analysis.fit.gauss_newton import gauss_newton
 from lib.analysis.fit.problem import Problem, Result
 from lib.analysis.fit.uncertainty import doubt, doubts
 from lib.given.materials import Why
+from lib.given.transfer import Transfer
 
 NAME = "lamps"
 WORTH_A_WORD = 0.02  # A told number is named if it is off by so much, relatively,
@@ -38,10 +39,10 @@ def lamps_told(problem, result) -> tuple[list[Why], bool]:
 def _lamps_told(problem, result):
     if not are_told(problem):
         return [], False
-    state, nats = result.state, evidence(problem, result.at).nats
+    nats = evidence(problem, result.at).nats
     if _freed_by_one_step(problem, result.at).nats - nats < enough(problem):
         return [], False
-    free = Candidate.of(freed(problem), start=Unknowns(state.rho, state.E, state.transfer, state.rho_s))
+    free = freed_as_found(problem, result)
     gain = free.evidence.nats - nats
     if gain < enough(problem):
         return [], False
@@ -60,13 +61,11 @@ def lamps_behind_curve(problem, result, given: Candidate) -> list[Why]:
     """
     if result.state.transfer.kind != "curve" or not problem.fit_transfer or not are_told(problem):
         return []
-    gamma, state = given.result.state.transfer, result.state
-    plain = replace(freed(problem), transfer=replace(gamma, matrix=problem.transfer.matrix), doubted=None)
-    free = Candidate.of(plain, start=Unknowns(state.rho, state.E, plain.transfer, state.rho_s))
+    free = freed_under(given.result.state.transfer, problem, result)
     gain = free.evidence.nats - evidence(problem, result.at).nats
     if gain < -enough(problem):
         return []
-    found = gauss_newton(plain, start=free.start)
+    found = gauss_newton(free.problem, start=free.start)
     return lamps_of(problem, found, gain, ("curve",)) if found.fits else []
 
 
@@ -89,6 +88,20 @@ def are_told(problem) -> bool:
 def freed(problem) -> Problem:
     """With the emittances of all lamps unknown."""
     return replace(problem, emittance=np.where(problem.own_lamps[:, None], np.nan, problem.emittance))
+
+
+def freed_as_found(problem, result) -> Candidate:
+    """The rough fit with lamps of any emittance, from where a fit ended."""
+    state = result.state
+    start = Unknowns(state.rho, state.E, state.transfer, state.rho_s)
+    return result.once("lamps_freed", lambda: Candidate.of(freed(problem), start=start))
+
+
+def freed_under(gamma: Transfer, problem, result) -> Candidate:
+    """The same under a plain gamma in place of a curve, which bends to lamps that are told wrongly."""
+    plain, state = replace(gamma, matrix=problem.transfer.matrix), result.state
+    start = Unknowns(state.rho, state.E, plain, state.rho_s)
+    return Candidate.of(replace(freed(problem), transfer=plain, doubted=None), start=start)
 
 
 def _lamp(name, ratio, gain, spared):
