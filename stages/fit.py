@@ -92,6 +92,7 @@ def main(opt):
             refined=task.refined,
             why=answer.why,
             sigma_scale=answer.sigma_scale,
+            unexplained=answer.unexplained,
             climb=answer.climb,
             textures=textures,
         )

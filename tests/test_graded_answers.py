@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from lib.analysis.answer import describe
+from lib.analysis.fit import misfits
 from lib.given import image, materials
 from lib.given.materials import Group, Sigma, Why
 from lib.synthetic.deviating_photographs import saturated
 from tests.helpers import rooms
-from tests.helpers.small_scenes import Studio
+from tests.helpers.small_scenes import Studio, photograph
 from tests.helpers.views import look
 from tests.verify import photometry
 
@@ -29,6 +30,31 @@ def test_what_is_made_from_an_answer_says_how_good_it_is():
     found = materials.Materials("approximate", groups={}, to=0.043, why=[Why("unknown", None, "a chair is missing")])
     (said,) = found.cautions
     assert "to about 4 %" in said and "a chair is missing" in said
+
+
+def test_objects_of_one_colour_each_are_no_texture():
+    """mirrored-9501 with a forgotten usemtl; and a texture that two objects share."""
+    two = {0: np.array([0.96, 1.62, 2.42]), 1: np.array([1.04, 0.88, 0.88])}
+    assert list(misfits.Parts(two, 0.97).painted_apart) == [0]
+    assert misfits.Parts(two, 0.3).painted_apart == {}
+    assert misfits.Parts({0: np.array([1.02]), 1: np.array([0.97])}, 0.9).painted_apart == {}
+
+
+@pytest.mark.scene
+def test_what_may_be_a_mirror_is_no_finding_beside_something_wrong(tmp_path):
+    """A mirror, and a box that the model has not: no mirror climbs then, and it was claimed as a diffuse surface."""
+    camera = look((3.8, 1.2, 1.5), (0, 1.5, 1.0), size=(160, 120), focal=94.0)
+    picture = rooms.panel("picture", (0, 0.6, 0.6), (0, 2.4, 0.6), (0, 2.4, 2.0), (0, 0.6, 2.0))
+    box = rooms.solid("box", 1.0, 1.2, 0, 1.8, 1.9, 0.9)
+    (tmp_path / "true").mkdir(), (tmp_path / "given").mkdir()
+    true = Studio(tmp_path / "true", rooms.room() | rooms.LAMP | picture | box, camera)
+    paints = photometry.PAINTS | {"picture": ("mirror", 0.8)}
+    light = true.picture(paints, (photometry.POWER,))
+    given = Studio(tmp_path / "given", rooms.room() | rooms.LAMP | picture, camera)
+    found, _ = given.fit(photograph(light), (photometry.POWER,))
+    mirror = found["groups"]["picture"]
+    assert found["why"] and found["status"] != "converged"
+    assert mirror["kind"] == "mirror" or not mirror["identified"]
 
 
 @pytest.mark.scene
@@ -56,8 +82,8 @@ def test_colours_farther_from_grey_are_in_sigma(tmp_path):
     shown = np.clip(light, 0, 1) ** (1 / 2.2)
     for more in (0.0, 0.25):
         values = saturated(shown, more) + 0.004 * np.random.default_rng(1).standard_normal(shown.shape)
-        photograph = image.Photograph(np.round(np.clip(values, 0, 1) * 255) / 255, 8, False, 3)
-        found, _ = room.fit(photograph, [(6.0, 6.0, 6.0)])
+        taken = image.Photograph(np.round(np.clip(values, 0, 1) * 255) / 255, 8, False, 3)
+        found, _ = room.fit(taken, [(6.0, 6.0, 6.0)])
         known = {n: g for n, g in found["groups"].items() if g["identified"]}
         off = max(np.abs(np.subtract(g["rho_d"], paints[n]) / g["sigma"]["rho_d"]).max() for n, g in known.items())
         assert len(known) >= 4 and off < 3.5, (more, off)

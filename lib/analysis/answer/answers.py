@@ -49,6 +49,16 @@ class Answer:
         return self.candidate.evidence.nats
 
     @property
+    def unexplained(self) -> set:
+        """Names of the groups that are off by more than what they were found to be may leave: as a diffuse one that may
+        be a mirror, whose climb was taken back or not tried."""
+        if self.audit is None:
+            return set()
+        climbed = {g for g, place in self.climb.places.items() if place.rung != "diffuse"} if self.climb else set()
+        flagged = self.audit.flagged(self.problem, self.climb.misfits if self.climb else self.judged)
+        return {self.problem.groups[g] for g in flagged if g not in climbed}
+
+    @property
     def climb(self) -> Climb | None:
         return self.ascent.climb if self.ascent else None
 

@@ -43,6 +43,7 @@ def describe(
     refined=(),
     why=(),
     sigma_scale=None,
+    unexplained=(),
     curve=None,
     lobes=None,
     climb: Climb | None = None,
@@ -54,12 +55,12 @@ def describe(
     lobes : {lamp: (4,)} as scene.yaml has them
     curve : that scene.yaml tells, of three channels
     transfer : as scene.yaml has it, or None;  why : [Why] where photograph and given facts do not agree
-    sigma_scale : (C,) of contradictions.doubt_told, or None
+    sigma_scale : (C,) of contradictions.doubt_told, or None;  unexplained : of Answer
     climb : where a group is not diffuse;  textures : by group
     """
     errors = group_rmse(problem, result.tile_residual)
     specular = () if climb is None or climb.finish is None else climb.finish.groups
-    accused = {w.subject for w in why if w.cause == "group_wrong"}
+    accused = {w.subject for w in why if w.cause == "group_wrong"} | set(unexplained)
     # beside lobes another function is fitted to the light of lobes that were found under the told one
     beyond = BEYOND_SIGMA | ({"transfer"} if specular else set())
     wrong = any(w.cause in beyond for w in why)

@@ -395,18 +395,20 @@ def _usual(size, facet):
     return usual
 
 
-def things_unlike(explained: Explained, audit: Audit, judged, names, climbed=()) -> list[Why]:
+def things_unlike(explained: Explained, audit: Audit, judged, names, climbed) -> list[Why]:
     """A line for each object that is unlike the rest of a group which a diffuse surface does not explain.
 
     By all its pixels: small things have hardly a trusted one.  judged : of Audit.misfits;  names() : of the objects
+    climbed : {group: rung}, of no diffuse ones
     """
     problem = explained.problem
-    doubtful = [g for g in audit.flagged(problem, judged) if g not in climbed]
+    textured = {g for g, rung in climbed.items() if rung == "textured"} - audit.given.keys()
+    doubtful = [g for g in audit.flagged(problem, judged) if g not in climbed or g in textured]
     parts = misfits.parts(audit.subcell, problem, explained.result, audit.tiles, doubtful)
     return [
         _another_material(names()[thing], ratio, problem.groups[g], None)
         for g, of_group in parts.items()
-        for thing, ratio in of_group.unlike.items()
+        for thing, ratio in (of_group.painted_apart if g in textured else of_group.unlike).items()
     ]
 
 

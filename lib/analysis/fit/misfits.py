@@ -15,6 +15,9 @@ ENOUGH = 12  # tiles of a group without which it is not judged
 CHANCE = 3.0  # standard errors of a mean square, up to which noise and sampling explain it
 OTHER = 0.1  # relative difference of an object's reflectance from its group's that is worth a word
 UNLIKE = 0.25  # the same of an object that only its untrusted pixels tell of
+# Of what a texture is off by as one colour, that objects of one colour each explain: more, and they are several
+# materials. One room had .97; textures of one object have none.
+BY_OBJECTS = 0.5
 THRESHOLD = 0.0125  # display RMSE beyond noise that a rung may leave: about what shadows' edges leave of diffuse groups
 # what of the threshold a group may keep, by its share of the picture: up to .8 % of it shadows' edges may cover all,
 # and beyond they cover less of it the wider it is, down to what light is known to anywhere
@@ -152,6 +155,16 @@ class Parts:
         far = {thing: float(np.abs(r - 1).max()) for thing, r in self.ratio.items()}
         usual = any(d < OTHER for d in far.values())
         return {thing: r for thing, r in self.ratio.items() if far[thing] > UNLIKE} if usual else {}
+
+    @property
+    def painted_apart(self) -> dict:
+        """The one most unlike its group, where objects of one colour each explain most of what passes for a texture.
+
+        A texture is within objects. A forgotten `usemtl` in a room with a mirror was green as one.
+        """
+        far = {thing: float(np.abs(r - 1).max()) for thing, r in self.ratio.items()}
+        thing = max(far, key=far.get)
+        return {thing: self.ratio[thing]} if self.explained > BY_OBJECTS and far[thing] > UNLIKE else {}
 
 
 def parts(subcell, problem: Problem, result: Result, tiles: Receivers, groups) -> dict[int, Parts]:
