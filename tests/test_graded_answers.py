@@ -45,10 +45,10 @@ def test_what_may_be_a_mirror_is_no_finding_beside_something_wrong(tmp_path):
     """A mirror, and a box that the model has not: no mirror climbs then, and it was claimed as a diffuse surface."""
     camera = look((3.8, 1.2, 1.5), (0, 1.5, 1.0), size=(160, 120), focal=94.0)
     picture = rooms.panel("picture", (0, 0.6, 0.6), (0, 2.4, 0.6), (0, 2.4, 2.0), (0, 0.6, 2.0))
-    box = rooms.solid("box", 1.0, 1.2, 0, 1.8, 1.9, 0.9)
+    box = rooms.solid("box", 1.0, 0.3, 0, 1.6, 0.8, 0.6)
     (tmp_path / "true").mkdir(), (tmp_path / "given").mkdir()
     true = Studio(tmp_path / "true", rooms.room() | rooms.LAMP | picture | box, camera)
-    paints = photometry.PAINTS | {"picture": ("mirror", 0.8)}
+    paints = photometry.PAINTS | {"picture": ("mirror", 0.6)}
     light = true.picture(paints, (photometry.POWER,))
     given = Studio(tmp_path / "given", rooms.room() | rooms.LAMP | picture, camera)
     found, _ = given.fit(photograph(light), (photometry.POWER,))
