@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
+from scipy.stats import norm
 
 from lib.analysis.fit import gauss_newton, paper, transport
 from lib.analysis.fit.equations import Equations, Layout, Unknowns
@@ -301,8 +302,26 @@ def test_what_changes_no_tile_tells_nothing(left, unknown):
     across -= J @ np.linalg.lstsq(J, across, rcond=None)[0]
     across *= left / np.sqrt(np.mean(across**2))
     terms = CauseTerms(("response",), (J @ x + across)[:, None, None], np.ones(1))
-    found = NormalEquations(J, np.zeros(4000), np.full(4000, 1e12)).beside(terms, resolved=1e-3)
+    found = NormalEquations(J, np.zeros(4000), np.full(4000, 1e12)).perhaps(terms, np.arange(4000) % 8, resolved=1e-3)
     np.testing.assert_allclose(np.sqrt(np.diag(found)) / np.abs(x), unknown, atol=0.01)
+
+
+@pytest.mark.parametrize("of_groups", [0.0, 1.0])
+@pytest.mark.parametrize("information", [2.0, 20.0, 1000.0])
+def test_a_doubt_is_as_large_as_what_it_is_about(information, of_groups):
+    """A cause that is there in every second photograph: on average over photographs, the second moment of what it does
+    to a value is what is said, whether the tiles tell much of it or little, and whatever each group has of its own."""
+    rng = np.random.default_rng(5)
+    group, J = np.arange(200) % 20, rng.normal(size=(200, 2))
+    column = rng.normal(size=200) * np.sqrt(information / 200)
+    terms = CauseTerms(("saturation",), column[:, None, None], np.ones(1))
+    said, true = [], []
+    for number in np.repeat(norm.ppf((np.arange(500) + 0.5) / 500), 2) * (np.arange(1000) % 2):
+        each = number + of_groups * rng.normal(size=20)[group]  # what it seems to be, seen by one group
+        normal = NormalEquations(J, rng.normal(size=200) + each * column, np.ones(200))
+        said.append(np.diag(normal.perhaps(terms, group)))
+        true.append((normal.inverse @ J.T @ column * number) ** 2)
+    np.testing.assert_allclose(np.mean(said, axis=0) / np.mean(true, axis=0), 1, atol=0.1)
 
 
 def test_a_doubt_does_not_depend_on_where_in_its_valley_a_fit_ended():

@@ -3,8 +3,8 @@
     shown = mean + (1 + s) (display - mean),    mean over the channels of a pixel
 
 Phones and editors do so by some tenths. Under white light a paint of stronger colour looks the same; only the light
-that coloured surfaces throw on each other tells, which knows s to .002 to .02 (the jackknife over groups in four exact
-rooms). What the picture says of s, and how sure it is of that, is in the sigma of all that has colour.
+that coloured surfaces throw on each other tells, which knows s to .01 to .02 in exact rooms. What the picture says of
+s, how sure it is of that, and the odds that there is one at all are in the sigma of all that has colour.
 """
 
 from __future__ import annotations

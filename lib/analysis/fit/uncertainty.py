@@ -9,6 +9,8 @@ never seen enter through their prior.
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.special import expit
 
 from lib.analysis.fit.equations import Equations
 from lib.analysis.fit.evidence import steady
@@ -27,6 +29,7 @@ EITHER = 0.5  # mean square of a number that is 0 or 1, as likely as not
 STEEP = 4  # how fast it is known beyond that: at 1.5 times to .2 of that, at 2.5 to .025
 NEAR = 0.05  # display: functions that differ by more are told apart, 480 nats and more in white rooms, 40 where by less
 LOBES_KNOWN_TO = 0.005  # of alpha: what lobes' rays leave, which no tile tells of; without it 75 % of 57 intervals held
+LITTLE = 1e-6  # of what is known of a number beforehand: tiles may tell nothing at all
 LEAST = 0.02  # smaller values are as unsure as this one, relative to it
 
 
@@ -44,12 +47,12 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         common[own, own] = np.outer(delta[own], delta[own])  # the points of a curve move together
         cov = cov + common
         result.shares[cause] = typical
-    function, mixing = doubts(problem.doubted)
-    if mixing is not None:
-        cov = cov + normal.beside(mixing, group=problem.tile_group)
+    function, causes = doubts(problem.doubted)
+    for cause in causes:
+        cov = cov + normal.perhaps(cause, problem.tile_group)
     if function is not None:  # the tiles' scatter holds what a bend of the function leaves there: the larger counts
         is_near = np.abs(function.columns).max(initial=0.0) < NEAR
-        cov = _at_least(cov, normal.beside(function, RESOLVED if is_near else 0.0))
+        cov = _at_least(cov, normal.perhaps(function, problem.tile_group, RESOLVED if is_near else 0.0))
     own = at.layout.responding  # each part of a curve may hang on one group, as causes do
     hangs = slice(own.start if at.state.transfer.kind == "curve" else own.stop, None)
     if hangs.start < at.layout.size:
@@ -90,10 +93,11 @@ def doubt(result: Result, other, share=1.0):
 
 
 def doubts(terms):
-    """(terms of the transfer function or None, the others or None)"""
+    """(terms of the transfer function or None, [those of each other cause])"""
     if terms is None:
-        return None, None
-    return terms.without(tuple({*terms.names} - {RESPONSE})), terms.without((RESPONSE,))
+        return None, []
+    each = {name: terms.without(tuple({*terms.names} - {name})) for name in dict.fromkeys(terms.names)}
+    return each.pop(RESPONSE, None), list(each.values())
 
 
 def _at_least(cov, other):
@@ -146,28 +150,53 @@ class NormalEquations:
         each = self._by_tile((self.weight * error.reshape(-1))[:, None] * self.J)
         return self.inverse @ (each.T @ each) @ self.inverse
 
-    def beside(self, terms, resolved=0.0, group=None):
+    def beside(self, terms):
         """Second moments (n, n) of what numbers leave that are not fitted: how far they may be off, and how far they
-        are if the tiles are right.
-
-        resolved : display, rms: what changes the tiles by less, once all parameters follow, tells nothing of a number
-        group : (T,) of each tile, where the numbers may hang on one group: how they move without it counts, too
-        """
-        C = terms.columns.reshape(-1, len(terms.names))
-        along = self.inverse @ (self.J.T @ (self.weight[:, None] * C))
-        left = C - self.J @ along  # in a valley the fit need not have come to its very floor: that is not of C
-        weighted = self.weight[:, None] * left
+        are if the tiles are right."""
+        along, left, weighted = self._followed(terms)
         known = left.T @ weighted + along.T @ self.prior @ along + np.diag(1 / terms.spread**2)
-        pull = weighted * self.residual[:, None]
-        number = np.linalg.solve(known, pull.sum(axis=0))
-        size = np.linalg.inv(known) + np.outer(number, number)
-        for rows in () if group is None else (np.repeat(group == g, self.channels) for g in np.unique(group)):
+        number = np.linalg.solve(known, weighted.T @ self.residual)
+        return along @ (np.linalg.inv(known) + np.outer(number, number)) @ along.T
+
+    def perhaps(self, terms, group, resolved=0.0):
+        """The same of a cause that is there or not, as likely as not beforehand: weighed by its odds once the tiles are
+        seen (a spike at 0 beside a slab as wide as the prior; Mitchell and Beauchamp 1988).
+
+        What is wrong with a group's light is common to its tiles, so they tell as much as groups agree: the Godambe
+        information I B^-1 I, B the scatter of the groups' pulls that the jackknife gives, and no smaller than noise's.
+
+        group : (T,) of each tile
+        resolved : display, rms: what changes the tiles by less, once all parameters follow, tells nothing of a number
+        """
+        along, left, weighted = self._followed(terms)
+        told, prior = left.T @ weighted + along.T @ self.prior @ along, np.diag(1 / terms.spread**2)
+        pull, known = weighted * self.residual[:, None], told + prior
+        number, scatter = np.linalg.solve(known, pull.sum(axis=0)), np.zeros_like(known)
+        for rows in (np.repeat(group == g, self.channels) for g in np.unique(group)):
             without = np.linalg.solve(known - left[rows].T @ weighted[rows], pull[~rows].sum(axis=0))
-            size += np.outer(without - number, without - number)
+            moved = known @ (without - number)
+            scatter += np.outer(moved, moved)
+        beyond_noise, axes = eigh(scatter, told + LITTLE * prior)
+        agreed = told @ (axes / np.maximum(beyond_noise, 1)) @ axes.T
+        known = agreed @ told + prior
+        number = np.linalg.solve(known, agreed @ pull.sum(axis=0))
+        nats = (number @ known @ number - np.linalg.slogdet(known @ np.diag(terms.spread**2))[1]) / 2
+        size = expit(nats) * (np.linalg.inv(known) + np.outer(number, number))
         if resolved:
             unknown = EITHER * terms.spread**2 / (1 + ((left**2).mean(axis=0) / resolved**2) ** STEEP)
             size = size + np.diag(np.maximum(unknown - np.diag(size), 0))
         return along @ size @ along.T
+
+    def _followed(self, terms):
+        """How all parameters (n, k) follow numbers that are not fitted, what is left of their columns (T C, k), and
+        that weighted.
+
+        In a valley the fit need not have come to its very floor: that is not of the numbers.
+        """
+        C = terms.columns.reshape(-1, len(terms.names))
+        along = self.inverse @ (self.J.T @ (self.weight[:, None] * C))
+        left = C - self.J @ along
+        return along, left, self.weight[:, None] * left
 
     def without_each_group(self, group, own):
         """Second moments (n, n) of what the parameters `own` do, and all others with them, where one group after
