@@ -92,7 +92,7 @@ def main(opt):
             refined=task.refined,
             why=answer.why,
             sigma_scale=answer.sigma_scale,
-            unexplained=answer.unexplained,
+            unexplained=answer.unexplained | answer.accused,
             climb=answer.climb,
             textures=textures,
         )

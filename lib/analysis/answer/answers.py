@@ -20,6 +20,7 @@ class Answer:
     ascent : of the ladder, None where all is diffuse;  ladder : what it did, for the report
     dropped : the climb that explained less than it should, None where none did
     why : [Why] photograph and facts do not agree
+    accused : names of groups of which `why` names an object
     sigma_scale : (C,) relative, of what all values have in common where a told number is contradicted, or None
     """
 
@@ -34,6 +35,7 @@ class Answer:
     ladder: dict = field(default_factory=dict)
     refined: object = None
     why: list = field(default_factory=list)
+    accused: set = field(default_factory=set)
     sigma_scale: object = None
     warnings: list = field(default_factory=list)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from lib.analysis.causes import told_lamps, told_reference, told_transfer
-from lib.analysis.causes.candidates import Candidate
+from lib.analysis.causes.candidates import Candidate, enough
 from lib.analysis.fit.facts import USUAL_GAMMA
 from lib.analysis.fit.uncertainty import doubt
 from lib.given.transfer import Transfer
@@ -32,7 +32,7 @@ def doubt_told(answer, asked):
         return None
     off = None
     if told_lamps.are_told(problem):
-        lamps = np.max([_doubt_lamps(answer, other) for other in _with_other_lamps(problem, result)], axis=0)
+        lamps = np.max([_doubt_lamps(answer, other) for other in _with_other_lamps(answer)], axis=0)
         off = lamps if causes & set(LAMPS) else None
     if "transfer" in causes and (other := told_transfer.instead(problem, result, asked)):
         doubt(result, other.result.state)
@@ -46,11 +46,15 @@ def doubt_told(answer, asked):
     return off
 
 
-def _with_other_lamps(problem, result):
-    """Rough fits with lamps of any emittance: under the function that was found, and a gamma in place of a curve."""
+def _with_other_lamps(answer):
+    """Rough fits with lamps of any emittance: under the function that was found, and a gamma in place of a curve, where
+    that explains as much."""
+    problem, result = answer.problem, answer.result
     yield told_lamps.freed_as_found(problem, result)
     if result.state.transfer.kind == "curve" and problem.fit_transfer:
-        yield told_lamps.freed_under(Transfer("gamma", USUAL_GAMMA), problem, result)
+        plain = told_lamps.freed_under(Transfer("gamma", USUAL_GAMMA), problem, result)
+        if plain.evidence.nats > answer.nats - enough(problem):
+            yield plain
 
 
 def _doubt_lamps(answer, other: Candidate):

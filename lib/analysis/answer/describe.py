@@ -55,7 +55,7 @@ def describe(
     lobes : {lamp: (4,)} as scene.yaml has them
     curve : that scene.yaml tells, of three channels
     transfer : as scene.yaml has it, or None;  why : [Why] where photograph and given facts do not agree
-    sigma_scale : (C,) of contradictions.doubt_told, or None;  unexplained : of Answer
+    sigma_scale : (C,) of contradictions.doubt_told, or None;  unexplained : groups that are no finding, of Answer
     climb : where a group is not diffuse;  textures : by group
     """
     errors = group_rmse(problem, result.tile_residual)
@@ -66,8 +66,8 @@ def describe(
     wrong = any(w.cause in beyond for w in why)
     groups, told = {}, set()
     for g, name in enumerate(problem.groups):
-        if name in problem.lamps:
-            continue
+        if name in problem.lamps or g >= len(found.visible):
+            continue  # beyond those of the model: what was set aside
         group = _diffuse(problem, result, g, g in specular, errors[g], int(found.visible[g]))
         if climb is not None:
             group = _of_rung(group, climb, g, (textures or {}).get(g))

@@ -55,6 +55,23 @@ def disagreements(problem: Problem, result: Result, found: Gathered, asked, riva
     return why or _on_bounds(problem, result)
 
 
+def left_over(answer: Answer) -> list[Why]:
+    """[Why] a group differs by more than any may keep, and nothing explains it: no answer that holds such a group is
+    exact, and what is wrong there throws light on others."""
+    judged = answer.climb.misfits if answer.climb else answer.judged
+    if answer.refined is not None or judged is None:
+        return []
+    off = {name: judged[answer.problem.groups.index(name)].excess for name in answer.unexplained}
+    worst = max(off, key=off.get, default=None)
+    if worst is None or off[worst] < answer.audit.threshold:
+        return []
+    text = (
+        f"group {worst!r} differs by {off[worst]:.1%} of full scale from what the model has there, and no material"
+        " explains it: an object is elsewhere, too many or missing, or has another shape"
+    )
+    return [Why("unknown", None, text, None)]
+
+
 def joined(why, displaced) -> list[Why]:
     """Both lists, the likeliest first; what is displaced tells what was unknown."""
     why = [w for w in why if w.cause != "unknown" or not displaced]

@@ -12,7 +12,7 @@ import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lib.analysis.answer import blackness, contradictions, disagreements, told_first
+from lib.analysis.answer import blackness, contradictions, disagreements, set_aside, told_first
 from lib.analysis.answer.answers import Answer, answered, looked
 from lib.analysis.answer.own_materials import materials
 from lib.analysis.answer.task import Task
@@ -37,14 +37,33 @@ def solve(task: Task, report: Report) -> Answer:
     once = lambda task: _solved(task, report)
     dark = blackness.groups(task)
     answer = blackness.solved(task, dark, once) if dark else once(task)
-    answer.why = disagreements.of_the_file(answer.why, task.view().photograph) if task.can_look else answer.why
+    if task.can_look:
+        answer.why = answer.why or disagreements.left_over(answer)
+        answer.why = disagreements.of_the_file(answer.why, task.view().photograph)
     if answer.why:
         _doubt(task, answer)
+        answer = _of_the_rest(task, answer, once)
     if answer.ladder:
         report["ladder"] = answer.ladder
     if task.asked:
         report["questions"] = [question.row() for question in task.asked]
     return answer
+
+
+def _of_the_rest(task, answer: Answer, once):
+    """The answer without what is named, where that fits better. once : (task) -> Answer"""
+    if not task.can_look or answer.refined is not None:
+        return answer
+    answer.accused = set_aside.accused_groups(task, answer)
+    rest = set_aside.without_accused(task, answer)
+    if rest is None:
+        return answer
+    again = once(rest)
+    again.accused = set_aside.accused_groups(rest, again)
+    again = set_aside.joined(answer, again)
+    if again.refined is None:
+        _doubt(rest, again)
+    return again if set_aside.is_better(again, answer) else answer
 
 
 def _doubt(task, answer: Answer):

@@ -62,7 +62,7 @@ class Thing(NamedTuple):
     middle : x, y px;  behind : numbers of the groups, the most covered first;  sharp : share of the outline that is
     alone : it stands before one group, whose mirror or texture may show it
     on_plain : before one facet, which is plain besides: one photograph does not tell it from a texture
-    outlined : only its outline tells of it
+    outlined : only its outline tells of it;  covers : (H, W) bool, its pixels
     """
 
     pixels: int
@@ -72,6 +72,7 @@ class Thing(NamedTuple):
     alone: bool
     on_plain: bool
     outlined: bool = False
+    covers: np.ndarray | None = None
 
     @property
     def is_of_print(self):
@@ -92,7 +93,7 @@ def things(view: View, factors: FormFactors, explained: Explained, audit: Audit,
         found = _found(picture.tinted(), None, wrong)
     if not found:
         found = _outlined(picture, factors, anywhere=wrong)
-    return sorted((thing for _, thing in found), key=lambda thing: -thing.pixels)
+    return sorted((thing._replace(covers=mine) for mine, thing in found), key=lambda thing: -thing.pixels)
 
 
 def _found(picture, factors, several):
@@ -413,7 +414,7 @@ def things_unlike(explained: Explained, audit: Audit, judged, names, climbed) ->
 
 
 def _another_material(name, ratio, group, nats):
-    shown_ratio = ", ".join(f"{v:.2f}" for v in ratio)
+    shown_ratio = ", ".join(f"{max(v, 0):.2f}" for v in ratio)
     text = f"object {name!r} reflects {shown_ratio} times what the rest of group {group!r}: another material"
     return Why("group_wrong", name, text, nats)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.special import expit
+from scipy.special import softmax
 
 from lib.analysis.fit.equations import Equations
 from lib.analysis.fit.evidence import steady
@@ -22,6 +22,7 @@ from lib.light.balance import reflected
 SQUARED_MEDIAN = 0.455  # of a normal variable's square: median(x^2) / 0.455 is a robust variance
 BLED = 0.1  # of JPEG's rounding beside edges that a whole group has in common: its neighbours' colours
 RESPONSE = "response"  # name of the doubt about the transfer function
+OTHER = -1.0  # its number where the other one of gamma and sRGB is the camera's: the residual is what that has less
 # Display, rms: light is not known to less. Curves of cameras change tiles by .0016 and more in 30 rooms; one that bent
 # to the light between shelves in a white room did by .0006, and brought 90 nats and reflectances 3 % off.
 RESOLVED = 0.001
@@ -52,7 +53,7 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         cov = cov + normal.perhaps(cause, problem.tile_group)
     if function is not None:  # the tiles' scatter holds what a bend of the function leaves there: the larger counts
         is_near = np.abs(function.columns).max(initial=0.0) < NEAR
-        cov = _at_least(cov, normal.perhaps(function, problem.tile_group, RESOLVED if is_near else 0.0))
+        cov = _at_least(cov, normal.perhaps(function, problem.tile_group, OTHER, RESOLVED if is_near else 0.0))
     own = at.layout.responding  # each part of a curve may hang on one group, as causes do
     hangs = slice(own.start if at.state.transfer.kind == "curve" else own.stop, None)
     if hangs.start < at.layout.size:
@@ -158,14 +159,14 @@ class NormalEquations:
         number = np.linalg.solve(known, weighted.T @ self.residual)
         return along @ (np.linalg.inv(known) + np.outer(number, number)) @ along.T
 
-    def perhaps(self, terms, group, resolved=0.0):
+    def perhaps(self, terms, group, instead=0.0, resolved=0.0):
         """The same of a cause that is there or not, as likely as not beforehand: weighed by its odds once the tiles are
         seen (a spike at 0 beside a slab as wide as the prior; Mitchell and Beauchamp 1988).
 
         What is wrong with a group's light is common to its tiles, so they tell as much as groups agree: the Godambe
         information I B^-1 I, B the scatter of the groups' pulls that the jackknife gives, and no smaller than noise's.
 
-        group : (T,) of each tile
+        group : (T,) of each tile;  instead : one value that the numbers may have as likely as 0, or 0
         resolved : display, rms: what changes the tiles by less, once all parameters follow, tells nothing of a number
         """
         along, left, weighted = self._followed(terms)
@@ -179,9 +180,12 @@ class NormalEquations:
         beyond_noise, axes = eigh(scatter, told + LITTLE * prior)
         agreed = told @ (axes / np.maximum(beyond_noise, 1)) @ axes.T
         known = agreed @ told + prior
-        number = np.linalg.solve(known, agreed @ pull.sum(axis=0))
+        pulled, value = agreed @ pull.sum(axis=0), np.full(len(known), instead)
+        number = np.linalg.solve(known, pulled)
         nats = (number @ known @ number - np.linalg.slogdet(known @ np.diag(terms.spread**2))[1]) / 2
-        size = expit(nats) * (np.linalg.inv(known) + np.outer(number, number))
+        nats_instead = value @ pulled - value @ agreed @ told @ value / 2 if instead else -np.inf
+        _, there, other = softmax([0, nats, nats_instead])
+        size = there * (np.linalg.inv(known) + np.outer(number, number)) + other * np.outer(value, value)
         if resolved:
             unknown = EITHER * terms.spread**2 / (1 + ((left**2).mean(axis=0) / resolved**2) ** STEEP)
             size = size + np.diag(np.maximum(unknown - np.diag(size), 0))
