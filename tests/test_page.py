@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lib.given import image
+from lib.given.materials import SCALES
 from lib.picture import albedo_maps
 from lib.planning.command import imports
 from lib.verdict import stage_reports
@@ -75,6 +76,15 @@ def test_what_does_not_fit_is_no_finding():
     )
     rows = {row[1].split()[0]: row for row in page.section("Materials").one("table").rows()}
     assert "no finding: the photograph does not fit it" in rows["wall"][1] and "±" not in rows["wall"][2]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_every_scale_has_its_words(scale):
+    """A page with a contradicted one was a traceback."""
+    files = everything()
+    more = {"sigma_scale": [0.04, 0.05, 0.061]} if scale == "contradicted" else {}
+    page = of_parts(parts_of(files | {"materials": files["materials"] | {"scale": scale} | more}))
+    assert ("may be off by 6 %" in page.section("Light and camera").text) == (scale == "contradicted")
 
 
 def test_everything():

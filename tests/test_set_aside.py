@@ -60,9 +60,9 @@ def accused(*names):
     ],
 )
 def test_what_is_left(pixels, why, left):
-    rest = set_aside.without_accused(task(pixels), accused(*why))
+    rest, named = set_aside.without_accused(task(pixels), accused(*why))
     if rest is None:
         assert left is None
         return
     *_, found, _, _ = rest(None, None, task(pixels).found, task(pixels).found)
-    assert found == left
+    assert found == left and [w.subject for w in named] == ["box"]

@@ -272,7 +272,7 @@ WAYS = {  # {name} is the subject
     "units": "Write `model: {{unit: ...}}` in scene.yaml: the model was drawn in another unit.",
     "up_axis": "Write `model: {{up: ...}}` in scene.yaml: the model's axes are not as told.",
     "object_missing": "Draw what is missing into the model, a box will do, with a material of its own.",
-    "group_wrong": "Give the object that is unlike the rest of {name} a material of its own in the model.",
+    "group_wrong": "Give {name} a material of its own in the model, or take it out if the room has it not.",
     "noise": "Give the JPEG itself, or a picture that was none: what blocks of 8 pixels hide is lost.",
     "unknown": "Look at the difference on the page: where it is strong, a lamp, an object or a material is wrong.",
 }

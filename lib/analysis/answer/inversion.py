@@ -55,12 +55,12 @@ def _of_the_rest(task, answer: Answer, once):
     if not task.can_look or answer.refined is not None:
         return answer
     answer.accused = set_aside.accused_groups(task, answer)
-    rest = set_aside.without_accused(task, answer)
+    rest, named = set_aside.without_accused(task, answer)
     if rest is None:
         return answer
     again = once(rest)
     again.accused = set_aside.accused_groups(rest, again)
-    again = set_aside.joined(answer, again)
+    again = set_aside.joined(answer, again, named)
     if again.refined is None:
         _doubt(rest, again)
     return again if set_aside.is_better(again, answer) else answer

@@ -28,18 +28,20 @@ LEAST = 0.02  # smaller reflectances are as unsure as this one
 WHITE = 0.98  # reflectance that an object may have at most
 
 
-def without_accused(task: Task, answer: Answer) -> Task | None:
-    """What is left of the photograph without the pixels of what `why` names; None where it names nothing, too much, or
-    what is wrong with all."""
+def without_accused(task: Task, answer: Answer) -> tuple[Task | None, list]:
+    """(What is left of the photograph without the pixels of what `why` names, [Why] of that); None where it names
+    nothing, too much, or what is wrong with all."""
     causes = {w.cause for w in answer.why}
     if task.changed is None or causes & BEYOND_SIGMA or not causes & {OBJECT, THING}:
-        return None
+        return None, []
     pixels = _pixels(task, answer)
     objects = _few(task.found, _objects(task, answer), pixels)
     if objects is None:
-        return None
+        return None, []
     apart = _looks(task, answer, objects) if answer.scale == "lamps" else {}  # else it would be a reference
-    return task.changed(functools.partial(_rest, objects, pixels, apart))
+    names = [task.view().model.objects[one] for one in objects]
+    said = [w for w in answer.why if w.cause == THING or w.cause == OBJECT and w.subject in names]
+    return task.changed(functools.partial(_rest, objects, pixels, apart)), said
 
 
 def accused_groups(task: Task, answer: Answer) -> set:
@@ -52,9 +54,8 @@ def accused_groups(task: Task, answer: Answer) -> set:
     return {model.groups[g] for g in np.unique(group)}
 
 
-def joined(answer: Answer, again: Answer) -> Answer:
-    """The answer of the rest, which says what was set aside."""
-    named = [w for w in answer.why if w.cause in (OBJECT, THING)]
+def joined(answer: Answer, again: Answer, named) -> Answer:
+    """The answer of the rest, which says what was set aside. named : [Why]"""
     more = [w for w in again.why if w.cause != "unknown" and w not in named]
     return replace(again, why=[*named, *more], accused=again.accused | answer.accused)
 

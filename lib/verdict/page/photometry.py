@@ -47,6 +47,8 @@ SCALE_WORDS = {
     " the standard deviations contain that.",
     "convention": "No lamp and no reference was given, and nothing in the picture fixes the scale: by convention the"
     " lamp’s emittance is 1. Reflectances are relative.",
+    "contradicted": "The photograph contradicts what is told of the light (see above): ratios between reflectances"
+    " hold, the factor that all have in common may be off",
 }
 
 
@@ -243,9 +245,14 @@ def light_section(parts: Parts):
         "light.html",
         rows=rows,
         heads=["E"] if grey else [f"E {c}" for c in ladder.CHANNELS],
-        scale=SCALE_WORDS[materials.scale],
+        scale=SCALE_WORDS[materials.scale] + _off_by(materials.sigma_scale),
         transfer=_transfer(parts),
     )
+
+
+def _off_by(sigma_scale) -> str:
+    """The end of what is said of a scale that is contradicted."""
+    return "" if sigma_scale is None else f" by {100 * max(sigma_scale):.0f} %."
 
 
 def _emittance_words(lamp, scale):
