@@ -9,8 +9,6 @@ never seen enter through their prior.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import eigh
-from scipy.special import softmax
 
 from lib.analysis.fit.equations import Equations
 from lib.analysis.fit.evidence import steady
@@ -169,6 +167,9 @@ class NormalEquations:
         group : (T,) of each tile;  instead : one value that the numbers may have as likely as 0, or 0
         resolved : display, rms: what changes the tiles by less, once all parameters follow, tells nothing of a number
         """
+        from scipy.linalg import eigh
+        from scipy.special import softmax
+
         along, left, weighted = self._followed(terms)
         told, prior = left.T @ weighted + along.T @ self.prior @ along, np.diag(1 / terms.spread**2)
         pull, known = weighted * self.residual[:, None], told + prior
