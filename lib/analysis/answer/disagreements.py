@@ -61,7 +61,8 @@ def left_over(answer: Answer) -> list[Why]:
     judged = answer.climb.misfits if answer.climb else answer.judged
     if answer.refined is not None or judged is None:
         return []
-    off = {name: judged[answer.problem.groups.index(name)].excess for name in answer.unexplained}
+    number = answer.problem.groups.index
+    off = {name: judged[number(name)].excess for name in answer.unexplained if number(name) in judged}
     worst = max(off, key=off.get, default=None)
     if worst is None or off[worst] < answer.audit.threshold:
         return []
@@ -70,6 +71,16 @@ def left_over(answer: Answer) -> list[Why]:
         " explains it: an object is elsewhere, too many or missing, or has another shape"
     )
     return [Why("unknown", None, text, None)]
+
+
+def accused_groups(task, why) -> set:
+    """Names of the groups of which `why` names an object: which of their objects are as the rest is open."""
+    named = {w.subject for w in why if w.cause == "group_wrong"}
+    if not named:
+        return set()
+    model = task.view().model
+    accused = np.isin(model.facet_object, [k for k, name in enumerate(model.objects) if name in named])
+    return {model.groups[g] for g in np.unique(np.asarray(model.facet_group)[accused])}
 
 
 def joined(why, displaced) -> list[Why]:

@@ -12,7 +12,7 @@ import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lib.analysis.answer import blackness, contradictions, disagreements, set_aside, told_first
+from lib.analysis.answer import blackness, contradictions, disagreements, told_first
 from lib.analysis.answer.answers import Answer, answered, looked
 from lib.analysis.answer.own_materials import materials
 from lib.analysis.answer.task import Task
@@ -42,28 +42,12 @@ def solve(task: Task, report: Report) -> Answer:
         answer.why = disagreements.of_the_file(answer.why, task.view().photograph)
     if answer.why:
         _doubt(task, answer)
-        answer = _of_the_rest(task, answer, once)
+        answer.accused = disagreements.accused_groups(task, answer.why) if task.can_look else set()
     if answer.ladder:
         report["ladder"] = answer.ladder
     if task.asked:
         report["questions"] = [question.row() for question in task.asked]
     return answer
-
-
-def _of_the_rest(task, answer: Answer, once):
-    """The answer without what is named, where that fits better. once : (task) -> Answer"""
-    if not task.can_look or answer.refined is not None:
-        return answer
-    answer.accused = set_aside.accused_groups(task, answer)
-    rest, named = set_aside.without_accused(task, answer)
-    if rest is None:
-        return answer
-    again = once(rest)
-    again.accused = set_aside.accused_groups(rest, again)
-    again = set_aside.joined(answer, again, named)
-    if again.refined is None:
-        _doubt(rest, again)
-    return again if set_aside.is_better(again, answer) else answer
 
 
 def _doubt(task, answer: Answer):

@@ -62,7 +62,7 @@ class Thing(NamedTuple):
     middle : x, y px;  behind : numbers of the groups, the most covered first;  sharp : share of the outline that is
     alone : it stands before one group, whose mirror or texture may show it
     on_plain : before one facet, which is plain besides: one photograph does not tell it from a texture
-    outlined : only its outline tells of it;  covers : (H, W) bool, its pixels
+    outlined : only its outline tells of it
     """
 
     pixels: int
@@ -72,7 +72,6 @@ class Thing(NamedTuple):
     alone: bool
     on_plain: bool
     outlined: bool = False
-    covers: np.ndarray | None = None
 
     @property
     def is_of_print(self):
@@ -93,7 +92,7 @@ def things(view: View, factors: FormFactors, explained: Explained, audit: Audit,
         found = _found(picture.tinted(), None, wrong)
     if not found:
         found = _outlined(picture, factors, anywhere=wrong)
-    return sorted((thing._replace(covers=mine) for mine, thing in found), key=lambda thing: -thing.pixels)
+    return sorted((thing for _, thing in found), key=lambda thing: -thing.pixels)
 
 
 def _found(picture, factors, several):

@@ -40,8 +40,6 @@ class Task:
     options : of gauss_newton.gauss_newton
     around : makes the same with what lies outside an open model among its lamps; None where that is there, or the model
         is not known
-    changed : makes the same of other light, or None, as `around`. Its argument: (view, factors, found, audit) -> (view,
-        factors, found, audit, {group: rho (C,)} of groups whose reflectance is known besides)
     asked : [Question] of the search, in the order in which they were asked
     """
 
@@ -68,7 +66,6 @@ class Task:
     edges: Found | None = None
     curve: Transfer | None = None
     around: Callable[[], Task] | None = None
-    changed: Callable[[Callable], Task] | None = None
     asked: list = field(default_factory=list)
 
     @classmethod
@@ -93,31 +90,20 @@ class Task:
         edges = edges_file.read(opt.edges) if opt.edges else None
         moved = materials.read_causes(opt.refined_causes) if opt.refined_causes else edges.taken if edges else []
         view = functools.cache(lambda: _view(opt, factors, curve, light, edges)) if shown else None
-        told, seen = (opt, transfer, curve, edges, moved), (view, factors, found, audit)
-        return cls._looking(told, *seen) if shown else cls._of(*told, *seen)
+        told = (opt, transfer, curve, view, edges, moved)
+        around = lambda: cls._of(*told, *gather.with_outside(view, factors, found, audit))
+        task = cls._of(*told, factors, found, audit)
+        return replace(task, around=around) if shown else task
 
     @classmethod
-    def _looking(cls, told, view, factors, found, audit, known=None) -> Task:
-        """Of a photograph that can be looked at. told : the first arguments of _of;  known : see `changed`"""
-        of_light = functools.partial(cls._of, *told, view, known=known)
-        around = lambda: of_light(*gather.with_outside(view, factors, found, audit))
-        changed = lambda change: cls._looking(told, *change(view, factors, found, audit))
-        return replace(of_light(factors, found, audit), around=around, changed=changed)
-
-    @classmethod
-    def _of(cls, opt, transfer, curve, edges, moved, view, factors, found, audit, known=None) -> Task:
-        """transfer : what all channels have in common of the one that is told;  known : see `changed`
-        moved : [Cause] of camera and model
-        """
+    def _of(cls, opt, transfer, curve, view, edges, moved, factors, found, audit) -> Task:
+        """transfer : what all channels have in common of the one that is told;  moved : [Cause] of camera and model"""
         lobes = {lamp: materials.lobe(value) for lamp, value in opt.lobes.items() if value != "unknown"}
         lambertian = factors, found
         if lobes:
             factors, found, audit = lamp_lobe.in_lobes(view(), factors, lobes, found, audit)
-        problem = facts.problem_of(factors, found, lamps=opt.lamps, reference=opt.reference, transfer=transfer)
-        for name, rho in (known or {}).items():
-            problem.rho[factors.groups.index(name)] = rho
         return cls(
-            problem=problem,
+            problem=facts.problem_of(factors, found, lamps=opt.lamps, reference=opt.reference, transfer=transfer),
             found=found,
             factors=factors,
             camera=cameras.read_cameramodel(opt.camera) if opt.camera else None,

@@ -186,11 +186,10 @@ def parts(subcell, problem: Problem, result: Result, tiles: Receivers, groups) -
     return found
 
 
-def ratio_of(subcell, problem: Problem, result: Result, tiles: Receivers, group, thing=None) -> np.ndarray:
-    """(C,) reflectance of a group, or of one object of it (numbers), as the audit's tiles show it, to the fit's."""
+def ratio_of(subcell, problem: Problem, result: Result, tiles: Receivers, group) -> np.ndarray:
+    """(C,) reflectance of a group (number), as the audit's tiles show it, to the fit's."""
     seen_as = _Shown(subcell, problem, result, tiles, None)
     mine = ~tiles.fit & (tiles.chain == 0) & (tiles.group == group)
-    mine &= thing is None or tiles.object == thing
     return _own_ratio(seen_as.B[mine], seen_as.seen[mine])
 
 

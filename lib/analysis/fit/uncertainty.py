@@ -48,7 +48,8 @@ def uncertainty(problem: Problem, at: Equations, result: Result):
         result.shares[cause] = typical
     function, causes = doubts(problem.doubted)
     for cause in causes:
-        cov = cov + normal.perhaps(cause, problem.tile_group)
+        # a camera that mixes colours is doubted only where it promises something, and odds of six numbers hide a little
+        cov = cov + normal.perhaps(cause, problem.tile_group, surely=len(cause.names) > 1)
     if function is not None:  # the tiles' scatter holds what a bend of the function leaves there: the larger counts
         is_near = np.abs(function.columns).max(initial=0.0) < NEAR
         cov = _at_least(cov, normal.perhaps(function, problem.tile_group, OTHER, RESOLVED if is_near else 0.0))
@@ -157,14 +158,14 @@ class NormalEquations:
         number = np.linalg.solve(known, weighted.T @ self.residual)
         return along @ (np.linalg.inv(known) + np.outer(number, number)) @ along.T
 
-    def perhaps(self, terms, group, instead=0.0, resolved=0.0):
+    def perhaps(self, terms, group, instead=0.0, resolved=0.0, surely=False):
         """The same of a cause that is there or not, as likely as not beforehand: weighed by its odds once the tiles are
         seen (a spike at 0 beside a slab as wide as the prior; Mitchell and Beauchamp 1988).
 
         What is wrong with a group's light is common to its tiles, so they tell as much as groups agree: the Godambe
         information I B^-1 I, B the scatter of the groups' pulls that the jackknife gives, and no smaller than noise's.
 
-        group : (T,) of each tile;  instead : one value that the numbers may have as likely as 0, or 0
+        group : (T,) of each tile;  surely : it is there;  instead : one value that the numbers may have as likely as 0, or 0
         resolved : display, rms: what changes the tiles by less, once all parameters follow, tells nothing of a number
         """
         from scipy.linalg import eigh
@@ -185,7 +186,7 @@ class NormalEquations:
         number = np.linalg.solve(known, pulled)
         nats = (number @ known @ number - np.linalg.slogdet(known @ np.diag(terms.spread**2))[1]) / 2
         nats_instead = value @ pulled - value @ agreed @ told @ value / 2 if instead else -np.inf
-        _, there, other = softmax([0, nats, nats_instead])
+        _, there, other = (0.0, 1.0, 0.0) if surely else softmax([0, nats, nats_instead])
         size = there * (np.linalg.inv(known) + np.outer(number, number)) + other * np.outer(value, value)
         if resolved:
             unknown = EITHER * terms.spread**2 / (1 + ((left**2).mean(axis=0) / resolved**2) ** STEEP)

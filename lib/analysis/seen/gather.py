@@ -214,17 +214,6 @@ class Gathered:
     colour_noise: np.ndarray
     noisy: bool
 
-    def take(self, which) -> Gathered:
-        """The same of the tiles numbered `which`."""
-        return replace(
-            self,
-            tiles=self.tiles.take(which),
-            pixels=self.pixels[form_factors.elements(self.tiles.start, which)],
-            group=self.group[which],
-            object=self.object[which],
-            edge_noise=self.edge_noise[which],
-        )
-
 
 def usable(view: View, surface: Surface, factors: FormFactors, used):
     """(H, W) bool: used pixels that show the model, but for its lamps: what those show is their emittance."""
