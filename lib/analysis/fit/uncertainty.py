@@ -165,7 +165,7 @@ class NormalEquations:
         What is wrong with a group's light is common to its tiles, so they tell as much as groups agree: the Godambe
         information I B^-1 I, B the scatter of the groups' pulls that the jackknife gives, and no smaller than noise's.
 
-        group : (T,) of each tile;  surely : it is there;  instead : one value that the numbers may have as likely as 0, or 0
+        group : (T,) of each tile;  surely : it is there;  instead : a value that is as likely as 0, or 0
         resolved : display, rms: what changes the tiles by less, once all parameters follow, tells nothing of a number
         """
         from scipy.linalg import eigh
