@@ -16,7 +16,7 @@ from lib.analysis.fit.problem import CauseTerms
 from lib.given.transfer import Metric
 
 NAME = "saturation"
-USUAL = 0.2  # standard deviation of s, where there is one, before anything is seen: phones' pictures have 0 to .3
+USUAL = 0.3 / np.sqrt(3)  # root of the mean square of s, where there is one: phones' pictures have 0 to .3
 
 
 def doubted(found: Candidate) -> CauseTerms | None:
