@@ -84,7 +84,7 @@ def test_every_scale_has_its_words(scale):
     files = everything()
     more = {"sigma_scale": [0.04, 0.05, 0.061]} if scale == "contradicted" else {}
     page = of_parts(parts_of(files | {"materials": files["materials"] | {"scale": scale} | more}))
-    assert ("may be off by 6 %" in page.section("Light and camera").text) == (scale == "contradicted")
+    assert ("standard deviation is 6 %" in page.section("Light and camera").text) == (scale == "contradicted")
 
 
 def test_everything():

@@ -48,7 +48,7 @@ SCALE_WORDS = {
     "convention": "No lamp and no reference was given, and nothing in the picture fixes the scale: by convention the"
     " lamp’s emittance is 1. Reflectances are relative.",
     "contradicted": "The photograph contradicts what is told of the light (see above): ratios between reflectances"
-    " hold, the factor that all have in common may be off",
+    " hold, the factor that all have in common need not.",
 }
 
 
@@ -251,8 +251,8 @@ def light_section(parts: Parts):
 
 
 def _off_by(sigma_scale) -> str:
-    """The end of what is said of a scale that is contradicted."""
-    return "" if sigma_scale is None else f" by {100 * max(sigma_scale):.0f} %."
+    """What is said besides of a scale that is contradicted."""
+    return "" if sigma_scale is None else f" Its standard deviation is {100 * max(sigma_scale):.0f} %."
 
 
 def _emittance_words(lamp, scale):
