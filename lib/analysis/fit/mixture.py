@@ -16,14 +16,18 @@ class Mixture:
         self.sparse = any(hasattr(A, "tocsr") for A in parts.values())
         if not self.sparse:
             return
-        every = list(parts.values())
+        every = [*parts.values(), *([] if base is None else [self.base])]
         self.shape, self.kind = every[0].shape, type(every[0])
         keys = np.sort(np.concatenate([_keys(A) for A in every]))
         keys = keys[np.flatnonzero(np.diff(keys, prepend=-1))]
         columns = np.int64(self.shape[1])
         self.indices = (keys % columns).astype(np.int32)
-        self.indptr = np.concatenate([[0], np.cumsum(np.bincount(keys // columns, minlength=self.shape[0]))])
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(keys // columns, minlength=self.shape[0]))])
+        self.indptr = indptr.astype(np.int32 if len(keys) < np.iinfo(np.int32).max else np.int64)
         self.places = {k: np.searchsorted(keys, _keys(A)) for k, A in parts.items()}
+        self.start = np.zeros(len(keys), np.float32 if base is None else self.base.dtype)
+        if base is not None:
+            self.start[np.searchsorted(keys, _keys(self.base))] = self.base.data
 
     def at(self, power):
         """The sum at powers (K,): a matrix, or 0 where there is nothing at all."""
@@ -36,8 +40,7 @@ class Mixture:
         for k, part in self.parts.items():
             if power[k] != 0:
                 data[self.places[k]] += np.float32(power[k]) * part.data  # no entry of a part stands there twice
-        total = self.kind((data, self.indices, self.indptr), shape=self.shape)
-        return total if self.base is None else (self.base + total).tocsr()
+        return self.kind((data + self.start, self.indices, self.indptr), shape=self.shape)
 
 
 def _keys(A):
