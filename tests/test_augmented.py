@@ -374,6 +374,7 @@ def test_nothing_of_the_eye_goes_into_a_smooth_mirrors_inside(scene):
     assert isinstance(read.changed.curved, curved.Curved)
 
 
+@pytest.mark.slow
 def test_a_smooth_glossy_ball_shows_its_lobe(scene):
     """Narrow and without a diffuse part it is a mirror ball, but for light that mirrors bring beside it."""
     quality, pictures = replace(QUALITY, lobe_rays=64), []

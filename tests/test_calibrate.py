@@ -185,6 +185,7 @@ def calibrate(folder, out, board, *more):
 
 @pytest.mark.outside
 @needs_mrcal
+@pytest.mark.slow
 def test_thirteen_real_pairs(root, run, tmp_path):
     """Focal length within 1 % of the published 535.9 px, left residuals at most 0.25 px, baseline 83.2 mm within 1 %.
 
@@ -289,6 +290,7 @@ def test_rendered_boards(root):
 
 @pytest.mark.scene
 @needs_mrcal
+@pytest.mark.slow
 def test_sigmas_hold(tmp_path):
     """Calibrations of one rig from other boards and noise: baseline and projection are off by their sigmas."""
     left, right = chessboards.lens("left"), chessboards.lens("right")

@@ -55,6 +55,7 @@ def phone_boards(tmp_path_factory):
 
 @pytest.mark.scene
 @needs_mrcal
+@pytest.mark.slow
 def test_orientations_of_board_pictures_are_not_read(phone_boards, run, tmp_path):
     """fx 600, c (344.5, 262.5) px, baseline 0.1 m. It ended in mrcal's `Model 1 has been moved`, and a traceback."""
     result = run(*calibrate(phone_boards, tmp_path, {"corners": [9, 6], "square_m": 0.03}))

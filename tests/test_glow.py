@@ -116,9 +116,8 @@ def test_a_file_without_a_glow_is_black_outside(tmp_path):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize(
-    "name, least", [("office", 0.012), pytest.param("office-mirror", 0.02, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name, least", [("office", 0.012), ("office-mirror", 0.02)])
+@pytest.mark.slow
 def test_a_wall_behind_the_camera_is_not_missed(tmp_path, name, least):
     """Its light is found, and the picture shows it in the mirror. Black outside, the reflectances were 10 to 50 % off.
 

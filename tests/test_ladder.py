@@ -288,6 +288,7 @@ def test_a_mirror_at_three_percent_noise(room):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_a_mirror_fills_the_picture(tmp_path):
     """Nothing is seen but by the mirror, and all of it is found: five walls and a box."""
     inside = rooms.room() | rooms.LAMP | rooms.solid("box", 2.0, 1.7, 0, 2.8, 2.3, 0.8)
@@ -332,7 +333,7 @@ def test_a_glossy_picture(room, alpha, rho_d, rho_s):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("kind, noise", [("coarse", 0.004), ("room", 0.002)])
+@pytest.mark.parametrize("kind, noise", [("coarse", 0.004), pytest.param("room", 0.002, marks=takes_long)])
 @pytest.mark.parametrize("seeds", [(1,), pytest.param((2, 3), marks=takes_long)], ids=str)
 def test_a_wrong_gamma_is_named_beside_a_sharp_lobe(kind, noise, seeds, request):
     """2.0 for 2.2: its light is less sure than a dull lobe's, but not by so much."""
@@ -361,7 +362,7 @@ def test_a_wrong_gamma_is_named_or_in_sigma(room, picture, gammas):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("light", [9.0, 3.0])
+@pytest.mark.parametrize("light", [pytest.param(9.0, marks=takes_long), 3.0])
 @pytest.mark.parametrize("picture", [(0.1, 0.2, 0.3), 0.3], ids=str)
 @pytest.mark.parametrize("gammas", [(2.4, None), pytest.param((2.0, 2.2), marks=takes_long)], ids=["near", "farther"])
 def test_srgb_that_is_a_gamma_is_named_or_in_sigma(room, picture, light, gammas):
@@ -401,6 +402,7 @@ def test_a_glossy_picture_at_three_percent_noise(room):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_a_glossy_group_of_two_hundred_pixels(high):
     assert 180 <= high.pixels("picture").sum() <= 260
     found, _ = high.found({"picture": (0.1, 0.2, 0.1)})
@@ -443,6 +445,7 @@ def test_a_printed_pattern_is_a_texture(room):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_a_glossy_floor_at_a_grazing_view(grazing):
     """Seen at 5 to 15 degrees: the walls are mirrored in it more than the lamp."""
     found, _ = grazing.found({"bottom": (0.15, 0.3, 0.3)})
@@ -556,6 +559,7 @@ def test_black_or_a_mirror_is_said(open_scene, picture):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_lobes_that_have_all_come_back_leave_no_light(tmp_path):
     """A wall took a lobe for the mirror's light and came back; the next round looked for that lobe: a traceback."""
     objects = rooms.room() | rooms.LAMP | PICTURE
@@ -578,7 +582,10 @@ def test_a_mirror_that_shows_nothing_and_is_named(open_scene):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("E, noise", [((9.0,), 0.004), ((9.0,), 0.002), ((3.0,), 0.001)])
+@pytest.mark.parametrize(
+    "E, noise",
+    [((9.0,), 0.004), pytest.param((9.0,), 0.002, marks=takes_long), pytest.param((3.0,), 0.001, marks=takes_long)],
+)
 def test_srgb_beside_a_mirror(room, E, noise):
     """The mirror's light looked like a lens's shadow under another gamma: 24 % off, 8 sigma, and green."""
     found, _ = room.found({"picture": ("mirror", 1.0)}, E, transfer="auto", photo={"srgb": True, "noise": noise})

@@ -196,6 +196,7 @@ def most_in_sigmas(found):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_a_lobe_that_is_told_is_taken_as_it_is(tmp_path):
     true = TRUTH.lamps["lamp"].lobe
     told = json.dumps({"aim": [2 * v for v in true.aim], "exponent": true.exponent})
@@ -205,6 +206,7 @@ def test_a_lobe_that_is_told_is_taken_as_it_is(tmp_path):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_a_lobe_that_is_asked_for_is_found_without_leave(tmp_path):
     found = fitted(tmp_path, LAMP_YAML % "unknown" + "explain: []\n")
     lamp, sigma = found.lobes["lamp"], found.lamps["lamp"].sigma

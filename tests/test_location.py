@@ -114,6 +114,7 @@ def test_another_room_is_refused_with_figures(room, run, tmp_path):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_other_light_is_refused_unless_lamps_are_said_to_differ(tmp_path):
     """Every edge is there, but what is bright in one photograph is dark in the other.
 

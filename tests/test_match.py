@@ -55,7 +55,12 @@ def test_no_baseline_is_no_pair():
 @pytest.mark.scene
 @pytest.mark.parametrize(
     "options",
-    [{}, {"grey": True}, {"baseline": 0.35}, {"angle_deg": 10.0}, {"tilt": 1.3}],
+    [
+        {},
+        {"grey": True},
+        *(pytest.param(o, marks=pytest.mark.slow) for o in ({"baseline": 0.35}, {"angle_deg": 10.0})),
+        {"tilt": 1.3},
+    ],
     ids=["colour", "grey", "parallel", "10 degrees", "steep"],
 )
 def test_every_quadrilateral_finds_its_own(options):

@@ -143,7 +143,7 @@ def given(case, tmp_path):
 
 @pytest.mark.scene
 def test_displaced_and_absent_objects(tmp_path):
-    """In the model or as files of their own; static ones that stand aside are said, or moved where it is asked for."""
+    """A static one that stands aside is said, and stays."""
     case = displaced_pairs.displaced_pair("objects-1", 0.03, size=SIZE)
     views, model = sides(case, tmp_path), given(case, tmp_path)
     first, second = case.moves
@@ -154,6 +154,13 @@ def test_displaced_and_absent_objects(tmp_path):
     assert [p.name for p in result.aside] == [second] and "refine" in " ".join(words.warnings(result))
     assert result.model.objects == model.objects and result.model.n_facets == model.n_facets
 
+
+@pytest.mark.slow
+def test_objects_that_are_moved_where_it_is_asked_for(tmp_path):
+    """In the model, and one as a file of its own, in a frame of its own."""
+    case = displaced_pairs.displaced_pair("objects-1", 0.03, size=SIZE)
+    views, model = sides(case, tmp_path), given(case, tmp_path)
+    first, second = case.moves
     refined = place(parts.without(model, case.absent), views, [first], refine=True, fixed=case.recipe.lamps)
     assert [p.name for p in refined.placed] == [first, second]
     right(refined.placed[1], case.moves[second], parts.only(refined.model, [second]))

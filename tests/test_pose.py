@@ -81,7 +81,14 @@ def test_points_reach_the_bound_of_the_right_ones(n, wrong, noise):
     assert np.mean(named) >= 0.9 and np.mean(inside) >= 0.85
 
 
-@pytest.mark.parametrize("n, m, known", [(0, 8, True), (0, 10, False), (4, 4, False)])
+@pytest.mark.parametrize(
+    "n, m, known",
+    [
+        pytest.param(0, 8, True, marks=pytest.mark.slow),
+        pytest.param(0, 10, False, marks=pytest.mark.slow),
+        (4, 4, False),
+    ],
+)
 def test_lines_tell_as_well(n, m, known):
     rng = np.random.default_rng(5)
     for _ in range(3):

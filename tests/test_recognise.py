@@ -74,7 +74,7 @@ def test_a_sure_facet_holds_where_it_holds_somewhere_in_the_box():
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [20, pytest.param(200, marks=pytest.mark.slow)])
 def test_random_rooms(tmp_path, capsys, count):
     """Three furnished rooms, one of them seen; half of the facets spurious, most of the others partial.
 
@@ -266,6 +266,7 @@ def test_path_traced_photographs(root, scene, degrees, metres, turn, move):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_the_covariance_is_honest(tmp_path):
     """Rooms seen by pairs whose principal points and focal lengths are 0.1 px wrong, 1 % noise."""
     far = []

@@ -56,7 +56,7 @@ def angle_deg(m, true):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [15, pytest.param(100, marks=pytest.mark.slow)])
 def test_coverage_of_true_regions(count):
     """Scenes of 6 exact quadrilaterals: of 95 % regions, 90 to 98 % hold the truth.
 
@@ -197,7 +197,8 @@ def test_a_side_that_nothing_checks_is_less_sure():
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize(("quality", "least"), [(95, 0.93), pytest.param(75, 0.9, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("quality", "least"), [(95, 0.93), (75, 0.9)])
+@pytest.mark.slow
 def test_coverage_in_jpegs(quality, least):
     """Exact quadrilaterals, stored as JPEGs: borders are as unsure as what rings beside them (75: .89 without)."""
     inside = []
@@ -355,7 +356,7 @@ def test_chessboards():
 
 
 @pytest.mark.outside
-@pytest.mark.parametrize("scene", ["venus", "sawtooth"])
+@pytest.mark.parametrize("scene", ["venus", pytest.param("sawtooth", marks=pytest.mark.slow)])
 def test_middlebury(scene, run, tmp_path):
     """From the photographs through the stages: the facets' disparity errors, and how much they cover."""
     folder = DATA / scene
@@ -969,6 +970,7 @@ def test_the_maximum_of_the_overlap(seed):
         assert np.abs((plane - true) * unit).max() < 0.8  # whole pixels
 
 
+@pytest.mark.slow
 def test_overlap_and_least_squares_find_the_same_planes():
     """The paper's way within its own sigma; sub-pixel borders are ten times as near."""
     errors = {}

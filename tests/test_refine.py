@@ -103,6 +103,7 @@ def test_what_is_given_is_not_made_again(office):
     assert planned(office).again == ()
 
 
+@pytest.mark.slow
 def test_a_first_stage_alone_is_taken_over_later(office):
     """index before all else does not run twice."""
     plan = planned(office, "index")
@@ -165,6 +166,7 @@ def test_a_lamp_is_moved_to_where_its_light_has_it(tmp_path, causes):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_a_lamp_is_moved_beside_a_mirror(tmp_path):
     """The mirror's own pixels fit with the lamp at no place, before it has climbed: it stood diffuse under green."""
     _, found, off = deviated(tmp_path, lamp_elsewhere, "office-mirror")
@@ -206,7 +208,8 @@ def test_a_mirror_does_not_hide_a_camera_that_mixes_colours(tmp_path):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("seed", [9733, pytest.param(9704, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [9733, 9704])
 def test_causes_that_bend_to_a_mirror_do_not_hide_it(seed):
     """A floor that mirrors, a wall that shines: a curve and a lens's shadow explained as much, and nothing fitted."""
     row = intervals.measured(seed, "shiny")

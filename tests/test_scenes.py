@@ -14,11 +14,11 @@ from tests.helpers import shipped
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = sorted(path.stem for path in (ROOT / "tests/expected").glob("*.csv"))
-# A minute or two each. Beside them office-coloured-mirror judges mirrors, desk-brushed gloss, office-stereo pairs, and
-# office-1 what was never tuned on.
+# A minute or two each. Beside them poster judges textures, desk-brushed gloss, office-stereo pairs, office-1 what was
+# never tuned on, and tests/test_ladder.py mirrors.
 LONG = (
     *("two-mirrors", "office-mirror", "desk-glossy", "lobed-8", "linear", "office-2", "office-3"),
-    *("office-pair", "office-stereo-1", "office-stereo-grey"),
+    *("office-pair", "office-stereo-1", "office-stereo-grey", "sawtooth", "office-coloured-mirror"),
 )
 
 

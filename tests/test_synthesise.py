@@ -13,6 +13,7 @@ from lib.synthetic import offices, recipes, scene_files
 from tests.helpers.made_scenes import DATA, made, same_text, truth, wrong_labels
 
 ROOT = Path(__file__).resolve().parents[1]
+MORE_BOARDS = ("office-stereo-1", "office-stereo-grey")  # rendered once more: 20 s each
 DIFFUSE, KINDS = recipes.NAMES, recipes.KIND_NAMES
 scenes = pytest.mark.parametrize("name", DIFFUSE + KINDS)
 
@@ -52,7 +53,9 @@ def test_truth_is_the_recipe(name):
 
 
 @pytest.mark.outside
-@pytest.mark.parametrize("name", recipes.ALL_NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in MORE_BOARDS)) for n in recipes.ALL_NAMES]
+)
 def test_the_truth_would_be_written_again(name):
     """What needs no Mitsuba of truth/, text for text: materials, textures, boards."""
     recipe, folder = made(name), DATA / name / "truth"

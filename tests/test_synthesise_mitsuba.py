@@ -150,6 +150,7 @@ print(json.dumps(out))"""
     assert turned == pytest.approx([turned[0]] * 4, rel=1e-4) and turned[0] > 0.01
 
 
+@pytest.mark.slow
 def test_lamps_through_mirrors_have_the_mean_of_mitsuba():
     """Mitsuba's own path tracer and its twin that samples lamps through mirrors give groups the same means.
 
@@ -199,6 +200,7 @@ print(json.dumps(out))"""
 
 
 @pytest.mark.outside
+@pytest.mark.slow
 def test_gathering_has_the_mean_of_mitsuba():
     """Groups of a random room by Mitsuba's own path tracer, and by stored light: the same means, less noise."""
     out = with_mitsuba(
