@@ -241,6 +241,7 @@ def test_thirteen_real_pairs(root, run, tmp_path):
 
 @pytest.mark.outside
 @needs_mrcal
+@pytest.mark.slow
 def test_real_fisheye(root, tmp_path):
     """Every ninth view of mrcal's own corners (6016x4016, 100 corners each): its focal length within 0.5 %.
 

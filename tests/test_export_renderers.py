@@ -81,6 +81,7 @@ def test_renderers_agree(kind, diffuse, glossy, pictures, groups):
         assert theirs == pytest.approx(ours, rel=at_most), (name, theirs / ours)
 
 
+@pytest.mark.slow
 def test_a_lamp_that_throws_its_light(groups, tmp_path):
     """Radiance and Blender keep its lobe: walls and floor to 3 % (256 samples: .9 %)."""
     for package in ("pyradiance", "bpy"):

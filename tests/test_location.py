@@ -139,6 +139,7 @@ def test_other_light_is_refused_unless_lamps_are_said_to_differ(tmp_path):
 
 
 @pytest.mark.scene
+@pytest.mark.slow
 def test_a_given_pose_that_is_wrong_is_said_and_places_no_other(room, run, tmp_path):
     case, pictures, folder = room
     scene = tmp_path / "scene"
