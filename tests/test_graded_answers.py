@@ -7,6 +7,7 @@ from lib.analysis.answer import describe
 from lib.analysis.fit import misfits
 from lib.given import image, materials
 from lib.given.materials import Group, Sigma, Why
+from lib.given.transfer_kinds import OF_PICTURE
 from lib.synthetic.deviating_photographs import saturated
 from tests.helpers import rooms
 from tests.helpers.small_scenes import Studio, photograph
@@ -68,6 +69,20 @@ def test_a_lamp_that_is_told_wrongly_contradicts_the_scale_alone(times):
     ratio = np.array([g["rho_d"][0] / photometry.PAINTS[n] for n, g in seen.items() if g["rho_d"][0] < 0.99])
     assert len(ratio) > 3 and np.ptp(np.log(ratio)) < 0.1
     assert all(abs(g["rho_d"][0] - photometry.PAINTS[n]) < 3 * g["sigma"]["rho_d"][0] for n, g in seen.items())
+
+
+@pytest.mark.scene
+@pytest.mark.parametrize("kind", OF_PICTURE)
+def test_the_transfer_is_the_first_to_be_suspected_where_a_pictures_was_asked_for(kind):
+    """Of the light it is linear. The lamp was blamed, and after five times as long a group was 7 sigma off."""
+    found, _ = photometry.fitted(photometry.studio().linear, photometry.POWER, transfer=kind)
+    assert [w["cause"] for w in found["why"]] == ["transfer"] and found["transfer"]["kind"] == kind
+    assert found["status"] in ("approximate", "does not fit")
+    seen = {n: g for n, g in found["groups"].items() if g["rho_d"] and g["sigma"]["rho_d"] and g["pixels"] > 1000}
+    assert len(seen) > 3
+    assert all(abs(g["rho_d"][0] - photometry.PAINTS[n]) < 3 * g["sigma"]["rho_d"][0] for n, g in seen.items())
+    found, _ = photometry.fitted(photometry.studio().linear, photometry.POWER, transfer=kind, gamma=1.0)
+    assert found["status"] == "converged"
 
 
 @pytest.mark.scene

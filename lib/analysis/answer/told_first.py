@@ -51,6 +51,8 @@ def _at_once(task, first, scope, may_move, edges) -> Answer | None:
     rough = Explained(first.problem, first.result, "", given=first, scope=scope)
     given = functools.cache(lambda: rough.without_causes(**task.options))
     seen = functools.cache(lambda: answered(given(), *looked(task, given())))
+    if why := told_transfer.of_a_picture(first, task.transfer):
+        return answered(given(), why=why)
     hopeless = first.typical >= gammas.HOPELESS_FROM
     if hopeless and (why := _flipped(task, rough)):
         return named(task, given(), why)

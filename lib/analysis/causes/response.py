@@ -23,7 +23,8 @@ from lib.analysis.fit.uncertainty import RESOLVED
 from lib.given.tone_curve import KNOTS
 from lib.given.transfer import Metric, Transfer
 
-ALIKE_TO = 0.02  # Display. A curve that is nearer to a simpler function may be that one.
+# Display. A curve that is nearer to a simpler function may be that one; of a linear picture it was by .0045.
+ALIKE_TO = 0.02
 # A curve is fitted first if so many times what it must bring is promised; sRGB only if the curve is like it.
 CURVE_FIRST_FROM = 5
 CURVE_AT_ALL_FROM = (
@@ -105,17 +106,17 @@ def fitted(found: Candidate, promised=np.inf) -> list[Candidate]:
     told = replace(problem, transfer=curve, fit_transfer=True)
     free = Candidate.of(told, found.taken | {"curve": {}}, start=begun(curve))
     function = free.result.state.transfer.bare
-    if not result and found.kind != "srgb" and _is_like(function, Transfer("srgb"), problem):
+    if not result and found.kind != "srgb" and is_like(function, Transfer("srgb"), problem):
         result.append(under_srgb(found))
     own = problem.transfer.kind == "gamma" and problem.fit_transfer
-    if not own and _is_like(function, Transfer("gamma", USUAL_GAMMA), problem):
+    if not own and is_like(function, Transfer("gamma", USUAL_GAMMA), problem):
         gamma = replace(Transfer("gamma", USUAL_GAMMA), **mixed)
         told = replace(problem, transfer=gamma, fit_transfer=True)
         result.append(Candidate.of(told, found.taken, start=begun(gamma)))
     return [free, *result]
 
 
-def _is_like(function: Transfer, simple: Transfer, problem) -> bool:
+def is_like(function: Transfer, simple: Transfer, problem) -> bool:
     """Over the light that the photograph shows, with the gamma that suits best."""
     light = function.linear(np.linspace(*np.quantile(problem.photograph.display(), (0.01, 0.99)), 50))
     shown = function.display(light)

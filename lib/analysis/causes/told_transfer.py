@@ -25,7 +25,7 @@ CLEARLY_FROM = 2.0
 
 def transfer_told(problem, asked, rivals) -> list[Why]:
     """A transfer function that scene.yaml tells, where another fits far better."""
-    if asked in (None, "auto", *OF_PICTURE) or not rivals:
+    if asked in (None, "auto") or not rivals:
         return []
     most = max(rivals.values())
     if most < enough(problem):
@@ -68,7 +68,7 @@ def doubt_told(problem, result, asked):
 
 def instead(problem, result, asked) -> Candidate | None:
     """The likeliest fit with another transfer function than the one that is told; None where none is."""
-    if asked in (None, "auto", *OF_PICTURE):
+    if asked in (None, "auto"):
         return None
     here = Candidate(problem, result, evidence(problem, result.at))
     return max((_free_gamma(problem, result)[0], *response.fitted(here)), key=lambda c: c.evidence.nats)
@@ -103,9 +103,23 @@ def _free_gamma(problem, result):
 
 
 def _named(asked):
+    if asked in OF_PICTURE:
+        return f"linear, which {asked} is until the picture is shown"
     if not isinstance(asked, dict):
         return asked
     return f"the curve of {asked['curve']}" if "curve" in asked else f"gamma {asked['gamma']:g}"
+
+
+def of_a_picture(first: Candidate, asked) -> list[Why]:
+    """What looks at the photograph is asked for to be compared with: of the light it is linear, which is the first to
+    be suspected."""
+    if asked not in OF_PICTURE:
+        return []
+    functions = response.fitted(first)
+    function = response.simplest(functions).result.state.transfer.bare
+    if response.is_like(function, Transfer("linear"), first.problem):
+        return []
+    return transfer_told(first.problem, asked, response.rivals_of(functions, first))
 
 
 def other_transfer(first: Candidate, promised: dict, is_free) -> tuple[Candidate, dict] | None:
