@@ -12,7 +12,7 @@ import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lib.analysis.answer import blackness, contradictions, disagreements, told_first
+from lib.analysis.answer import blackness, contradictions, disagreements, set_aside, told_first
 from lib.analysis.answer.answers import Answer, answered, looked
 from lib.analysis.answer.own_materials import materials
 from lib.analysis.answer.task import Task
@@ -42,11 +42,24 @@ def solve(task: Task, report: Report) -> Answer:
         answer.why = disagreements.of_the_file(answer.why, task.view().photograph)
     if answer.why:
         _doubt(task, answer)
-        answer.accused = disagreements.accused_groups(task, answer.why) if task.can_look else set()
+        answer = _of_the_rest(task, answer)
     if answer.ladder:
         report["ladder"] = answer.ladder
     if task.asked:
         report["questions"] = [question.row() for question in task.asked]
+    return answer
+
+
+def _of_the_rest(task, answer: Answer) -> Answer:
+    """The answer, or that without what is named, where it is better."""
+    if not task.can_look:
+        return answer
+    accused = disagreements.accused_groups(task, answer.why)
+    again = set_aside.of_the_rest(task, answer, _scope(task), **task.options)
+    if again is not None:
+        answer = again
+        _doubt(task, answer)
+    answer.accused = accused
     return answer
 
 
