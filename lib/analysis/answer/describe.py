@@ -66,8 +66,8 @@ def describe(
     wrong = any(w.cause in beyond for w in why)
     groups, told = {}, set()
     for g, name in enumerate(problem.groups):
-        if name in problem.lamps:
-            continue
+        if name in problem.lamps or g >= len(found.visible):
+            continue  # beyond those of the model: what was set aside
         group = _diffuse(problem, result, g, g in specular, errors[g], int(found.visible[g]))
         if climb is not None:
             group = _of_rung(group, climb, g, (textures or {}).get(g))

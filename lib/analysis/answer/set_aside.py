@@ -1,9 +1,9 @@
 """The photograph without the objects that are named: what is left of it is asked again.
 
 An object of another material, or one that the model has too many, bends all that a fit finds, and hides what else there
-is: no cause of the whole picture is taken while one object explains more. Once it is named, its tiles need not be
-explained. The search goes on from what was found, not anew: from far away a small room fell into another valley of
-gamma.
+is: no cause of the whole picture is taken while one object explains more. Once it is named, it is a group of its own,
+whose tiles tell how bright it looks and no more. The search goes on from what was found, not anew: from far away a
+small room fell into another valley of gamma.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ import numpy as np
 from lib.analysis.answer import disagreements
 from lib.analysis.answer.answers import Answer, answered
 from lib.analysis.answer.describe import BEYOND_SIGMA
-from lib.analysis.causes import search
+from lib.analysis.causes import one_object, search
 from lib.analysis.causes.candidates import Candidate
 from lib.analysis.fit.equations import Unknowns
 from lib.analysis.fit.facts import USUAL_GAMMA
 from lib.analysis.fit.folds import FOLDS
+from lib.analysis.fit.problem import EDGE_SHARE
 
 NAMED = "group_wrong"  # of the causes the one whose subject is an object
 # Of the pixels that are fitted: as much as one fold of those that judge a fit. Of less of a picture anything is true.
 MOST = 1 / FOLDS
-NOTHING = 1e3  # display: the noise of a tile that tells nothing
+HARDLY = 0.05  # display: the noise of a tile that tells how bright a thing looks, but not what else is so
 LEAST = 0.02  # smaller reflectances are as unsure as this one
 # Cameras' gammas differ by less. A fit of a wrong model that finds another has bent to the model.
 UNUSUAL_FROM = 1.4
@@ -36,10 +37,10 @@ def of_the_rest(task, answer: Answer, scope, **options) -> Answer | None:
     None where no object is named, or too much is, or something is wrong with all.
     scope : of the search;  options : of gauss_newton.gauss_newton
     """
-    aside = apart(task, answer)
-    if aside is None:
+    objects = apart(task, answer)
+    if not objects:
         return None
-    found = search.with_causes(_begun(answer, aside), scope, **options).kept(**options)
+    found = search.with_causes(_begun(task, answer, objects), scope, **options).kept(**options)
     again = answered(found)
     if not _is_better(again, answer):
         return None
@@ -49,8 +50,8 @@ def of_the_rest(task, answer: Answer, scope, **options) -> Answer | None:
     return again
 
 
-def apart(task, answer) -> np.ndarray | None:
-    """(T,) bool: tiles of the objects that are named, the smaller ones first, as long as they are no more than MOST.
+def apart(task, answer) -> list:
+    """Numbers of the objects that are named, the smaller ones first, as long as they are no more than MOST.
 
     Where two of a group are named, one is what the other is not.
     """
@@ -58,9 +59,9 @@ def apart(task, answer) -> np.ndarray | None:
     given = answer.explained.given
     is_plain = answer.climb is None and not answer.explained.lobes and answer.refined is None
     if not accused or not is_plain or {w.cause for w in answer.why} & BEYOND_SIGMA or not isinstance(given, Candidate):
-        return None
+        return []
     if given.problem.tile_group.shape != task.found.object.shape:
-        return None  # of the model with what lies outside it
+        return []  # of the model with what lies outside it
     proved = [w for w in accused if w.evidence_nats is not None]  # the others are only seen, and may follow from these
     names = {w.subject for w in proved or accused}
     objects = [k for k, name in enumerate(task.view().model.objects) if name in names]
@@ -69,18 +70,25 @@ def apart(task, answer) -> np.ndarray | None:
     some = []
     for one in sorted(objects, key=of.get):
         some += [one] if sum(of[k] for k in (*some, one)) <= MOST * pixels.sum() else []
-    return np.isin(task.found.object, some) if some else None
+    return some
 
 
-def _begun(answer, aside) -> Candidate:
-    """The rough fit under the given facts to all other tiles, from where the answer stands."""
+def _begun(task, answer, objects) -> Candidate:
+    """The rough fit under the given facts from where the answer stands; the objects are groups of their own."""
     given = answer.explained.given
-    problem, state = given.problem, answer.result.state
-    noise = np.zeros(len(aside)) if problem.edge_noise is None else problem.edge_noise
-    rest = replace(problem, edge_noise=np.where(aside, NOTHING, noise))
-    alike = state.transfer.kind == problem.transfer.kind and not state.transfer.channels
+    rest, state = given.problem, answer.result.state
+    alike = state.transfer.kind == rest.transfer.kind and not state.transfer.channels
     state = state if alike else given.result.state
-    return Candidate.of(rest, start=Unknowns(state.rho, state.E, state.transfer, state.rho_s))
+    rho, known = state.rho, rest.known_groups
+    patch_object = np.asarray(task.view().model.facet_object)[task.factors.mesh.side // 2]
+    for one in objects:
+        for g in set(rest.tile_group[rest.tile_object == one]) - known:
+            rest = one_object.with_its_own(rest, one_object.Unlike(g, one, 1.0, 0.0), patch_object)
+            rho = np.vstack([rho, rho[g]])
+    noise = 0 if rest.edge_noise is None else rest.edge_noise
+    hardly = HARDLY * np.sqrt(rest.n_pixels / EDGE_SHARE)
+    rest = replace(rest, edge_noise=np.where(np.isin(rest.tile_object, objects), hardly, noise))
+    return Candidate.of(rest, start=Unknowns(rho, state.E, state.transfer, state.rho_s))
 
 
 def _is_better(again: Answer, answer: Answer) -> bool:

@@ -71,6 +71,7 @@ def with_its_own(problem: Problem, one: Unlike, patch_object) -> Problem:
         tile_group=np.where(tiles, number, problem.tile_group),
         rho=np.vstack([problem.rho, np.full((1, problem.channels), np.nan)]),
         group_area=np.append(group_area, area),
+        black=None if problem.black is None else np.append(problem.black, False),
     )
 
 
