@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lib.core.rows import distinct
 from lib.light import cells_kernels as kernels
 from lib.light.cells_kernels import PatchPieces, PatchTable
 from lib.light.surface import Surface, on_hand
@@ -118,7 +119,7 @@ class Tree:
         middle = np.add.reduceat(pieces.mean(axis=1) * weight[:, None], start[:-1], axis=0)
         centre = surface.origin[f] + middle[:, :1] * surface.axes[f, 0] + middle[:, 1:] * surface.axes[f, 1]
         above = np.stack([side, level, leaves[:, 2] >> 1, leaves[:, 3] >> 1], axis=1)
-        parent = np.unique(above, axis=0, return_inverse=True)[1].reshape(-1)
+        parent = distinct(above)[1]
         sides = 2 * np.count_nonzero(surface.group >= 0)  # lids have no patches, and stand behind the facets
         return Mesh(
             side.astype(np.int32),
