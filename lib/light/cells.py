@@ -38,6 +38,12 @@ class Mesh:
         return len(self.side)
 
     @property
+    def is_cluster(self) -> np.ndarray:
+        """(N,) bool: patches with pieces on several sides."""
+        owner = np.repeat(np.arange(len(self)), np.diff(self.tri_start))
+        return np.bincount(owner, self.tri_side != self.side[owner], len(self)) > 0
+
+    @property
     def table(self) -> PatchTable:
         """For kernels: which patch is where."""
         return PatchTable(self.table_start, self.table_shape, self.leaf)
