@@ -22,6 +22,8 @@ LOW_M = 1.5  # least side of a box that a camera stands in, below which it is ha
 TINY_PX = 500  # pixels of a group below which its values are loose
 CLIPPED = 0.01  # share of pixels worth a word
 FLAT = 0.25  # of the range that a photograph should use
+FEW_LAMPS, FEW_FACETS = 1, 200  # of a room of boxes; beyond them each lamp and each facet costs, in CPU s:
+S_PER_LAMP, S_PER_FACET = 6.0, 0.008
 GB_BASE, GB_PER_MP, MUCH_GB = 0.7, 0.5, 4.0  # peak of render; what is worth a word
 
 
@@ -47,7 +49,7 @@ def findings(model, camera, photograph, facet, lamps=(), up="z", turned=1) -> li
         *_lamps(model, lamps),
         *_openings(model, camera),
         *of_photograph(photograph, turned, _lamp_pixels(model, facet, lamps)),
-        cost(photograph.values.shape),
+        cost(photograph.values.shape, facets=model.n_facets, lamps=len(lamps)),
     ]
 
 
@@ -237,13 +239,15 @@ def of_edges(edges: Edges):
             yield Finding("edges", f"{why.text}: put it right, or let `explain` in scene.yaml name {why.cause}", True)
 
 
-def cost(shape, has=None) -> Finding:
+def cost(shape, has=None, facets=0, lamps=1) -> Finding:
     """Memory and time to expect. A doubt where they are much.
 
     shape : (H, W, ...) of the photograph;  has : GB of memory, those of this machine where none are told
+    facets : of the model;  lamps : how many emit
     """
     megapixels = shape[0] * shape[1] / 1e6
     memory, seconds = GB_BASE + GB_PER_MP * megapixels, progress.typical(progress.PHOTOMETRY, shape[0] * shape[1])
+    seconds += max(lamps - FEW_LAMPS, 0) * S_PER_LAMP + max(facets - FEW_FACETS, 0) * S_PER_FACET
     time = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
     has = has or _memory_gb()
     text = f"about {memory:.1f} GB of memory and {time} for {megapixels:.1f} megapixels, more where surfaces shine"
