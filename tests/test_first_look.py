@@ -82,6 +82,10 @@ def test_a_photograph_that_is_too_dark_or_white(tmp_path):
 
 
 def test_large_photographs_are_told_what_they_need():
+    simple, many = (
+        first_look.cost((288, 512), has=8.0, facets=n, lamps=lamps).text for n, lamps in ((40, 1), (11143, 13))
+    )
+    assert "and 35 s" in simple and "and 3 minutes" in many, (simple, many)
     found = first_look.cost((4500, 6000, 3), has=8.0)
     assert found.doubt and "27.0 megapixels" in found.text and "this machine has 8.0 GB" in found.text
 

@@ -182,6 +182,43 @@ def test_what_nothing_determines_has_a_sigma_as_large_as_itself():
     np.testing.assert_allclose(result.state.rho[1:], 0.9 * rho[1:], rtol=1e-4)
 
 
+def several_lamps(walls, E, *, dark=False):
+    """Lamps of unknown power, of which the third lights 2 pixels alone; without light between the walls if dark."""
+    problem, rho, _ = made(walls, E=E, lamps=3, given_E=False, transfer="linear", noise=0.01, seed=3)
+    D, D_tile = problem.D * [1, 1, 0], problem.D_tile * [1, 1, 0]
+    start = np.concatenate([[0], problem.start[1:] + 2 - problem.start[1]])  # the first tile has 2 pixels
+    D_tile[0, 2] = 0.002
+    E, F = np.array(E)[:, None], 0 * CUBE if dark else CUBE
+    b = np.linalg.solve(np.eye(6) - rho * F, rho * (D @ E))
+    G = csr_array(problem.G.shape) if dark else problem.G
+    shade = np.repeat(rho[problem.tile_group] * (D_tile @ E + G @ b), np.diff(start), axis=0)
+    shade *= 1 + 0.01 * np.random.default_rng(5).standard_normal(shade.shape)
+    F = csr_array(F)
+    return replace(problem, D=D, D_tile=D_tile, start=start, pixels=shade, F=F, G=G, G_plain=G), rho
+
+
+def test_a_loose_lamp_keeps_its_own_sigma():
+    """Bright walls fix the scale for the two others, however little is known of the third."""
+    problem, rho = several_lamps([0.8, 0.7, 0.9, 0.6, 0.8], (1.5, 0.9, 3.0))
+    result, scale = gauss_newton.fit(problem)
+    E, sigma = result.state.E[:, 0], result.sigma_E[:, 0]
+    assert scale == "interreflection" and not result.warnings
+    assert (np.abs(E[:2] - [1.5, 0.9]) < 4 * sigma[:2] + 0.01).all() and (sigma[:2] < 0.2 * E[:2]).all()
+    assert sigma[2] > 0.5 * E[2] and abs(E[2] - 3) < 4 * sigma[2]
+    np.testing.assert_allclose(result.state.rho[1:], rho[1:], atol=0.02)
+
+
+def test_ratios_of_lamps_stand_where_a_convention_fixes_the_scale():
+    """Nothing but rho E is seen: the lamp of most light is 1, the other one and the walls are right up to a factor."""
+    problem, rho = several_lamps(COLOURS[:, 0], (0.9, 0.5, 3.0), dark=True)
+    result, scale = gauss_newton.fit(problem)
+    assert scale == "convention" and "'lamp' is taken as 1" in result.warnings[0]
+    assert result.state.E[0, 0] == 1 and result.sigma_E[0, 0] == 0
+    assert abs(result.state.E[1, 0] - 5 / 9) < 4 * result.sigma_E[1, 0] < 0.02
+    assert result.sigma_E[2, 0] > 0.2 * result.state.E[2, 0]
+    np.testing.assert_allclose(result.state.rho[1:], 0.9 * rho[1:], rtol=0.01)
+
+
 def test_a_lamp_that_lights_nothing_seen_is_unknown():
     problem, *_ = made(COLOURS, E=(1.5, 1.0), lamps=2, given_E=False)
     known = problem.rho.copy()

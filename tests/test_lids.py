@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from lib.given import model
+from lib.given.model.lids import lids as find_lids
 from lib.light import adapt, form_factors, hemicube
 from lib.light.lamps import emitters, patch_direct
 from lib.light.surface import covered, group_areas, lids, surface
 from tests.helpers import rooms
+from tests.helpers.growth import growth
 from tests.helpers.small_scenes import finish
 
 ROOM = rooms.room() | rooms.LAMP  # 4 x 3 x 2.5 m
@@ -204,6 +206,26 @@ def test_a_room_without_floor_is_no_solid(tmp_path):
     assert not m.solid_objects(camera_centre=(1, 1, 1)).any() and not m.solid_objects(lamps=["lamp"]).any()
     s = rooms.surface(tmp_path / "n.obj", rest | walls | rooms.LAMP)
     assert not s.inside.any() and not len(lids(s))
+
+
+def vases(sides, many=20):
+    """Open cups of many sides upside down on the floor, one beside the other."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    result = {}
+    for k in range(many):
+        x, y = 0.3 + 0.7 * (k % 5), 0.3 + 0.7 * (k // 5)
+        ring = np.column_stack([x + 0.2 * np.cos(angle), y + 0.2 * np.sin(angle)])
+        low, high = (np.column_stack([ring, np.full(sides, z)]) for z in (0.0, 0.5))
+        polygons = [[low[i - 1], low[i], high[i], high[i - 1]] for i in range(sides)]
+        result[f"vase{k}"] = [("vase", p) for p in [*polygons, list(high)]]
+    return result
+
+
+def test_lids_of_many_facets(tmp_path):
+    """420 facets to 6,720: near-linear; it was quadratic, and 67 s of a hall of 11,000."""
+    small, large = (model.load(rooms.write(tmp_path / f"{n}.obj", rooms.room(4, 4, 2.5) | vases(n))) for n in (20, 320))
+    assert len(find_lids(small).faces) == len(find_lids(large).faces) == 20
+    assert growth(lambda: find_lids(small), lambda: find_lids(large)) < 16**1.2
 
 
 def shelf(rng):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from lib.buffers.viewport import NEAR
+from lib.core.rows import distinct
 
 
 def boundary(facet) -> np.ndarray:
@@ -22,7 +23,7 @@ def _uniform(labels, radius):
 def facet_edges(model) -> np.ndarray:
     """(E, 2) int: vertices at the ends of the edges where a facet ends, by position; each facet has its own copy."""
     t = model.triangles
-    position = np.unique(model.vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)
+    position = distinct(model.vertices)[1]
     ends = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
     facet = np.tile(model.triangle_facet, 3)
     key = np.column_stack([np.sort(position[ends], axis=1), facet])

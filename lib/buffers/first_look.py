@@ -22,6 +22,8 @@ LOW_M = 1.5  # least side of a box that a camera stands in, below which it is ha
 TINY_PX = 500  # pixels of a group below which its values are loose
 CLIPPED = 0.01  # share of pixels worth a word
 FLAT = 0.25  # of the range that a photograph should use
+FEW_LAMPS, FEW_FACETS = 1, 200  # of a room of boxes; beyond them each lamp and each facet costs, in CPU s:
+S_PER_LAMP, S_PER_FACET = 6.0, 0.008
 GB_BASE, GB_PER_MP, MUCH_GB = 0.7, 0.5, 4.0  # peak of render; what is worth a word
 
 
@@ -47,7 +49,7 @@ def findings(model, camera, photograph, facet, lamps=(), up="z", turned=1) -> li
         *_lamps(model, lamps),
         *_openings(model, camera),
         *of_photograph(photograph, turned, _lamp_pixels(model, facet, lamps)),
-        cost(photograph.values.shape),
+        cost(photograph.values.shape, facets=model.n_facets, lamps=len(lamps)),
     ]
 
 
@@ -114,28 +116,27 @@ def _sight(model, facet, lamps):
 
 
 def _lamps(model, lamps):
-    for name in lamps:
-        if name not in model.groups:
-            continue
-        yield from _lamp(model, name)
+    there = [name for name in lamps if name in model.groups]
+    for name in there:
+        yield from _lamp(model, name, max(1, TRIES // (2 * len(model.triangles) * len(there))))
 
 
-def _lamp(model, name):
-    of = model.facet_group[model.triangle_facet] == model.groups.index(name)
-    corners, area = model.corners()[of], model.triangle_normals()[1][of]
-    facets = np.unique(model.triangle_facet[of])
+def _lamp(model, name, most):
+    """most : facets of the lamp that are looked at, the largest of many"""
+    largest = model.largest_triangles(np.flatnonzero(model.facet_group == model.groups.index(name)))
+    facets, area = model.triangle_facet[largest], model.facet_area()
+    text = f"{name}: {len(facets)} facets, {area[facets].sum():.3g} m2"
+    chosen = np.sort(np.argsort(-area[facets], kind="stable")[:most])
+    middles = model.corners()[largest[chosen]].mean(axis=1)
     blocked = total = 0.0
     met = set()
-    for facet in facets:
-        mine = model.triangle_facet[of] == facet
-        largest = corners[mine][area[mine].argmax()]
+    for facet, middle in zip(facets[chosen], middles, strict=True):
         n = model.facet_normal[facet]
-        front, back = (_first(model, largest.mean(axis=0), side * n, facet) for side in (1, -1))
-        total += area[mine].sum()
+        front, back = (_first(model, middle, side * n, facet) for side in (1, -1))
+        total += area[facet]
         if front[0] < NEAR_M and back[0] > 2 * front[0]:
-            blocked += area[mine].sum()
+            blocked += area[facet]
             met.add(model.groups[model.facet_group[front[1]]])
-    text = f"{name}: {len(facets)} facets, {total:.3g} m2"
     if blocked > 0.5 * total:
         why = f"its front looks at {_listed(sorted(met))} within {100 * NEAR_M:.0f} cm: turn its faces round"
         yield Finding("lamps", f"{text}: {why}", True)
@@ -176,11 +177,16 @@ def _first(model, origin, direction, but=-1):
     n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.einsum("ti,ti->t", n, p[:, 0]) / (n @ direction)
-        hit = t[:, None] * direction
-        sides = [np.einsum("ti,ti->t", np.cross(p[:, (k + 1) % 3] - p[:, k], hit - p[:, k]), n) for k in range(3)]
-    t = np.where((t > 0) & (np.min(sides, axis=0) >= 0) & (model.triangle_facet != but), t, np.inf)
-    first = int(t.argmin())
-    return (float(t[first]), int(model.triangle_facet[first])) if np.isfinite(t[first]) else (np.inf, -1)
+    kept = np.flatnonzero((t > 0) & np.isfinite(t) & (model.triangle_facet != but))
+    hit, slack = t[kept, None] * direction, 1e-9 * np.abs(p).max(initial=0.0)
+    meets = ((p[kept].min(axis=1) <= hit + slack) & (hit - slack <= p[kept].max(axis=1))).all(axis=1)  # its box
+    kept, hit = kept[meets], hit[meets]
+    p, n, t = p[kept], n[kept], t[kept]
+    sides = [np.einsum("ti,ti->t", np.cross(p[:, (k + 1) % 3] - p[:, k], hit - p[:, k]), n) for k in range(3)]
+    t = np.where(np.min(sides, axis=0) >= 0, t, np.inf)
+    if not np.isfinite(t).any():
+        return np.inf, -1
+    return float(t.min()), int(model.triangle_facet[kept[t.argmin()]])
 
 
 def _lamp_pixels(model, facet, lamps):
@@ -233,13 +239,15 @@ def of_edges(edges: Edges):
             yield Finding("edges", f"{why.text}: put it right, or let `explain` in scene.yaml name {why.cause}", True)
 
 
-def cost(shape, has=None) -> Finding:
+def cost(shape, has=None, facets=0, lamps=1) -> Finding:
     """Memory and time to expect. A doubt where they are much.
 
     shape : (H, W, ...) of the photograph;  has : GB of memory, those of this machine where none are told
+    facets : of the model;  lamps : how many emit
     """
     megapixels = shape[0] * shape[1] / 1e6
     memory, seconds = GB_BASE + GB_PER_MP * megapixels, progress.typical(progress.PHOTOMETRY, shape[0] * shape[1])
+    seconds += max(lamps - FEW_LAMPS, 0) * S_PER_LAMP + max(facets - FEW_FACETS, 0) * S_PER_FACET
     time = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
     has = has or _memory_gb()
     text = f"about {memory:.1f} GB of memory and {time} for {megapixels:.1f} megapixels, more where surfaces shine"

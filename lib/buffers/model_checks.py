@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from lib.given.model.lids import NEAR, covered, spread
+from lib.core.rows import distinct
+from lib.given.model.lying import NEAR, covered, spread
 
 LARGEST = 300.0  # m: a model with a longer diagonal is hardly in metres
 TOUCH = 1e-5  # in diagonals: planes nearer than that are one (lib/light/surface.py)
@@ -52,9 +53,9 @@ def _doubled(model, boxes):
     size = np.sqrt(model.facet_area())[:, None]
     place = np.hstack([boxes.low, boxes.high, size]) / (1e-6 * boxes.diagonal)
     key = np.rint(np.hstack([place, 1e3 * model.facet_normal])) + 0.0
-    first, number, count = np.unique(key, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:]
-    twice = np.flatnonzero((count[number.reshape(-1)] > 1) & np.isfinite(boxes.low[:, 0]))  # not of absent objects
-    twin = first[number.reshape(-1)[twice]]
+    first, number = distinct(key)
+    twice = np.flatnonzero((np.bincount(number)[number] > 1) & np.isfinite(boxes.low[:, 0]))  # not of absent objects
+    twin = first[number[twice]]
     found = [_pair(model, a, b) for a, b in zip(twin, twice, strict=True) if a != b]
     if found:
         yield f"doubled faces, of which the photograph can show but one: {_listed(found)}"
@@ -65,14 +66,14 @@ def _gaps(model, boxes):
     near, touch = NEAR * boxes.diagonal, TOUCH * boxes.diagonal
     turn = np.where(model.facet_normal @ AXIS < 0, -1, 1)
     height = turn * model.facet_offset
-    alike = np.unique(np.rint(1e3 * turn[:, None] * model.facet_normal) + 0.0, axis=0, return_inverse=True)[1]
+    alike = distinct(np.rint(1e3 * turn[:, None] * model.facet_normal))[1]
     solid = _outward(model)[model.facet_object]
-    order = np.lexsort((height, alike.reshape(-1)))
-    corners, widest = model.corners(), {}
+    order = np.lexsort((height, alike))
+    of_facet, widest = _Triangles(model), {}
     for step in range(1, min(MANY, len(order))):
         i, j = order[:-step], order[step:]
         gap = height[j] - height[i]
-        close = (alike.reshape(-1)[i] == alike.reshape(-1)[j]) & (gap <= near)
+        close = (alike[i] == alike[j]) & (gap <= near)
         if not close.any():
             break
         # neither the upper side of the lower one nor the lower side of the upper one looks into a solid
@@ -81,7 +82,7 @@ def _gaps(model, boxes):
         close &= (np.minimum(boxes.high[i], boxes.high[j]) >= np.maximum(boxes.low[i], boxes.low[j]) - near).all(axis=1)
         for k in np.flatnonzero(close)[:MANY]:
             a, b, g = i[k], j[k], gap[k]
-            if _overlap(corners, model.triangle_facet, a, b, near):
+            if _overlap(of_facet[a], of_facet[b], near):
                 pair = _pair(model, min(a, b), max(a, b))
                 widest[pair] = max(widest.get(pair, 0.0), g)
     if widest:
@@ -89,9 +90,20 @@ def _gaps(model, boxes):
         yield f"narrow gaps, whose darkness counts as what is beside them: {told}; let them touch"
 
 
-def _overlap(corners, triangle_facet, a, b, near):
-    """Does a part of the smaller one of two facets lie before the other?"""
-    mine, other = corners[triangle_facet == a], corners[triangle_facet == b]
+class _Triangles:
+    """The triangles (n, 3, 3) of each facet."""
+
+    def __init__(self, model):
+        order = np.argsort(model.triangle_facet, kind="stable")
+        self._corners = model.corners()[order]
+        self._start = np.searchsorted(model.triangle_facet[order], np.arange(model.n_facets + 1))
+
+    def __getitem__(self, facet):
+        return self._corners[self._start[facet] : self._start[facet + 1]]
+
+
+def _overlap(mine, other, near):
+    """Does a part of the smaller one of two facets, each of triangles (n, 3, 3), lie before the other?"""
     area = [np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1).sum() for t in (mine, other)]
     small, large = (mine, other) if area[0] <= area[1] else (other, mine)
     # the rim of `covered` is as wide as the gap may be: points near the smaller one's own rim prove nothing
@@ -109,16 +121,16 @@ def _outward(model):
 
 def _torn(model):
     """Objects of which neighbouring faces are turned opposite ways."""
-    position = np.unique(model.vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)
+    position = distinct(model.vertices)[1]
     a = position[model.triangles]
     ends = np.stack([a.ravel(), np.roll(a, -1, axis=1).ravel()], axis=1)
     owner = np.repeat(model.facet_object[model.triangle_facet], 3)
-    edges, number = np.unique(np.column_stack([owner, np.sort(ends, axis=1)]), axis=0, return_inverse=True)
-    number = number.reshape(-1)
+    sides = np.column_stack([owner, np.sort(ends, axis=1)])
+    first, number = distinct(sides)
     net = np.bincount(number, np.where(ends[:, 0] < ends[:, 1], 1, -1))
     torn = (np.bincount(number) == 2) & (np.abs(net) == 2)
     if torn.any():
-        told = _listed([repr(model.objects[i]) for i in np.unique(edges[torn, 0])])
+        told = _listed([repr(model.objects[i]) for i in np.unique(sides[first[torn], 0])])
         yield f"neighbouring faces that are turned opposite ways, in {told}"
 
 

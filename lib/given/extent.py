@@ -9,6 +9,8 @@ import itertools
 
 import numpy as np
 
+from lib.core.rows import distinct
+
 SAME = 1e-6  # of the model's size: places that differ by less are one
 FLAT = 1e-9  # the volume of three vectors, at most 1 long, that counts as none
 
@@ -39,7 +41,7 @@ def hand(p, centre):
     v the way from the centre.
     """
     v = p.reshape(-1, 3) - centre
-    v = v[np.unique(np.rint(v / (SAME * max(float(np.abs(v).max()), 1e-300))), axis=0, return_index=True)[1]]
+    v = v[distinct(np.rint(v / (SAME * max(float(np.abs(v).max()), 1e-300))))[0]]
     far = np.linalg.norm(v, axis=1, keepdims=True)
     sums = [(v * far**k).sum(axis=0) / max(float((far ** (k + 1)).sum()), 1e-300) for k in (1, 2, 3)]
     return -1 if np.linalg.det(sums) < -FLAT else 1

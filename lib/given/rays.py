@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lib.core import packages
+from lib.core.rows import distinct
 from lib.given import rays_kernels as kernels
 from lib.given.extent import smallest_ball
 from lib.given.rays_kernels import OFFSET
@@ -91,7 +92,8 @@ def occluders(corners, facet_of_triangle, n_facets=None) -> np.ndarray:
     corners : (T, 3, 3) local;  facet_of_triangle : (T,) int;  n_facets : F, by default up to the last that has a
     triangle: those of absent objects have none, and occlude nothing
     """
-    points = np.unique(corners.reshape(-1, 3), axis=0)
+    points = corners.reshape(-1, 3)
+    points = points[distinct(points)[0]]
     n_facets = n_facets or int(facet_of_triangle.max()) + 1
     there, first = np.unique(facet_of_triangle, return_index=True)
     v = corners[first]

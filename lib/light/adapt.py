@@ -10,10 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lib.given.rays import shifts, sobol
 from lib.light import adapt_kernels as kernels
-from lib.light import form_factors
+from lib.light import clusters, form_factors
 from lib.light.balance import reflected
 from lib.light.cells import Mesh, Tree
+from lib.light.cells_kernels import sides_of_points
 from lib.light.form_factors import chunks, counted, from_patches
 from lib.light.form_factors_kernels import DROPPED
 from lib.light.lamps import direct
@@ -74,7 +76,7 @@ def _direct_light(surface, mesh, middle, lamps, rays, hit, n_rays, seed) -> Dire
     first = (np.arange(N)[:, None] * n_rays + np.arange(n)).ravel()
     start = rays[first, :3]
     n_lamps = 1 + max(lamp.lamp for lamp in lamps)
-    side = np.repeat(mesh.side, n)
+    side = sides_of_points(n, sobol(n_rays)[:n], shifts(N, n_rays, seed), mesh.pieces)
     factor = direct(
         surface, lamps, start.astype(float), side_normals(surface), side, n_lamps, n_samples=4, seed=seed
     ).sum(axis=1)
@@ -123,7 +125,7 @@ def build(
     if len(sides) == 0:
         raise ValueError("no facet sees another: there is no light to balance")
     area = float(facet_areas(surface)[sides // 2].sum())
-    tree = Tree(surface, sides, np.sqrt(area / patches))
+    tree = Tree(surface, sides, np.sqrt(area / patches), clustered=len(sides) > clusters.MANY and not uniform)
     for level in range(max_level):
         if uniform:
             flags = np.ones(len(tree.leaves), bool)
@@ -141,12 +143,13 @@ def build(
 def _uneven(surface, tree, level, emitters, n_rays, contrast, area, patches, trace):
     """(n,) bool: the leaves of this level to be split; the tree is sorted."""
     tree.sort()
-    mesh, cells = tree.mesh(), tree.cells()
-    mean, spread = light_spread(surface, mesh, (cells[:, 1:3] + cells[:, 3:5]) / 2, emitters, n_rays=n_rays, seed=level)
+    mesh = tree.mesh()
+    mean, spread = light_spread(surface, mesh, tree.middles(mesh), emitters, n_rays=n_rays, seed=level)
     if trace is not None:
         trace(**_state(mesh, mean, spread))
     yardstick = float((mean * mesh.area).sum() / area) * area / patches
-    return (mesh.area * spread > contrast * yardstick) & (tree.leaves[:, 1] == level)
+    uneven = mesh.area * spread > contrast * yardstick
+    return uneven[tree.element] & (np.where(tree.clusters == clusters.NONE, tree.leaves[:, 1], tree.clusters) == level)
 
 
 def _state(mesh, mean, spread):

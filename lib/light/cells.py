@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lib.core.rows import distinct
 from lib.light import cells_kernels as kernels
+from lib.light import clusters
 from lib.light.cells_kernels import PatchPieces, PatchTable
 from lib.light.surface import Surface, on_hand
 
@@ -20,12 +22,13 @@ from lib.light.surface import Surface, on_hand
 class Mesh:
     """Patches; areas and lengths are local (see rays.Local)."""
 
-    side: np.ndarray  # (N,) int32
+    side: np.ndarray  # (N,) int32; of a cluster that of its largest part
     area: np.ndarray  # (N,) local
     centre: np.ndarray  # (N, 3) local
     tri_start: np.ndarray  # (N + 1,) int32 into tri_uv, tri_cdf
     tri_uv: np.ndarray  # (K, 3, 2) float64, pieces of the patches in facet coordinates
     tri_cdf: np.ndarray  # (K,) cumulated share of the patch's area
+    tri_side: np.ndarray  # (K,) int32, the side that each piece lies on: a cluster has pieces of several facets
     table_start: np.ndarray  # (2 F,) int64 into leaf; -1: the side has no patches
     table_shape: np.ndarray  # (2 F, 2) int32 finest cells along the two axes
     leaf: np.ndarray  # (...,) int32 patch of each finest cell, -1 outside the facet
@@ -35,6 +38,12 @@ class Mesh:
         return len(self.side)
 
     @property
+    def is_cluster(self) -> np.ndarray:
+        """(N,) bool: patches with pieces on several sides."""
+        owner = np.repeat(np.arange(len(self)), np.diff(self.tri_start))
+        return np.bincount(owner, self.tri_side != self.side[owner], len(self)) > 0
+
+    @property
     def table(self) -> PatchTable:
         """For kernels: which patch is where."""
         return PatchTable(self.table_start, self.table_shape, self.leaf)
@@ -42,15 +51,20 @@ class Mesh:
     @property
     def pieces(self) -> PatchPieces:
         """For kernels: the triangles of each patch."""
-        return PatchPieces(self.side, self.tri_start, self.tri_uv, self.tri_cdf)
+        return PatchPieces(self.tri_side, self.tri_start, self.tri_uv, self.tri_cdf)
 
 
 class Tree:
-    """Leaves under construction: side, level, integer cell position at that level, and the root grid per side."""
+    """Leaves under construction: side, level, integer cell position at that level, and the root grid per side.
 
-    def __init__(self, surface: Surface, sides, coarse):
-        """sides : (n,) int, those that are cut;  coarse : local, a root cell is no wider"""
-        self.surface = surface
+    Leaves may belong to clusters, each of which is one patch (lib/light/clusters.py).
+    """
+
+    def __init__(self, surface: Surface, sides, coarse, *, clustered=False):
+        """sides : (n,) int, those that are cut;  coarse : local, a root cell is no wider
+        clustered : facets that are smaller than a root cell begin in clusters
+        """
+        self.surface, self.coarse = surface, coarse
         corners, facet = on_hand(surface.corners, surface.hand), surface.facet
         relative = corners - surface.origin[facet][:, None, :]
         self.uv = np.stack([np.einsum("tij,tj->ti", relative, surface.axes[facet, a]) for a in (0, 1)], axis=-1)
@@ -64,7 +78,16 @@ class Tree:
         nv = self.root[side, 1]
         self.leaves = np.stack([side, np.zeros_like(side), index // nv, index % nv], axis=1)  # side, level, iu, iv
         self._prune()
+        small = self.root[self.leaves[:, 0]].prod(axis=1) == 1
+        self.clusters = np.where(small & clustered, 0, clusters.NONE)  # (n,) level of each leaf's cluster
         self.sort()
+
+    @property
+    def element(self):
+        """(n,) int: the patch that each leaf is, or belongs to."""
+        if (self.clusters == clusters.NONE).all():
+            return np.arange(len(self.leaves))
+        return clusters.elements(self.surface, self.leaves[:, 0], self.clusters, self.coarse)
 
     def cells(self, leaves=None):
         """(n, 5) facet, u0, v0, u1, v1 of leaves (n, 4), by default the tree's."""
@@ -85,7 +108,11 @@ class Tree:
         self.leaves = self.leaves[np.diff(start) > 0]
 
     def split(self, flags):
-        """Replace leaves by their four quadrants.  flags : (n,) bool"""
+        """Replace leaves by their four quadrants, and clusters by smaller ones.  flags : (n,) bool"""
+        element = self.element
+        falls_apart = flags & (self.clusters != clusters.NONE) & (np.bincount(element)[element] > 1)
+        self.clusters[falls_apart] += 1
+        flags = flags & ~falls_apart
         side, level, iu, iv = self.leaves[flags].T
         quadrants = [(du, dv) for du in (0, 1) for dv in (0, 1)]
         children = np.concatenate(
@@ -93,14 +120,27 @@ class Tree:
         )
         children = children[np.diff(self.cut(children)[0]) > 0]
         self.leaves = np.concatenate([self.leaves[~flags], children])
+        self.clusters = np.concatenate([self.clusters[~flags], np.full(len(children), clusters.NONE)])
 
     def sort(self):
         """By the place of the facet, side, level and place on it."""
         side, level, iu, iv = self.leaves.T
-        self.leaves = self.leaves[np.lexsort((iv, iu, level, side % 2, self.surface.place[side // 2]))]
+        order = np.lexsort((iv, iu, level, side % 2, self.surface.place[side // 2]))
+        self.leaves, self.clusters = self.leaves[order], self.clusters[order]
+
+    def middles(self, mesh) -> np.ndarray:
+        """(N, 2) where each patch of the mesh would be cut, coordinates on its own facet."""
+        cells = self.cells()
+        if len(mesh) == len(cells):
+            return (cells[:, 1:3] + cells[:, 3:5]) / 2
+        f = mesh.side // 2
+        result = np.einsum("nd,nad->na", mesh.centre - self.surface.origin[f], self.surface.axes[f])
+        alone = self.clusters == clusters.NONE
+        result[self.element[alone]] = ((cells[:, 1:3] + cells[:, 3:5]) / 2)[alone]
+        return result
 
     def mesh(self) -> Mesh:
-        """The leaves as patches, in their order."""
+        """The leaves as patches, in their order, and the clusters where their first leaves are."""
         surface, leaves = self.surface, self.leaves
         start, pieces, cdf, area = self.cut(leaves)
         side, level = leaves[:, 0], leaves[:, 1]
@@ -118,17 +158,20 @@ class Tree:
         middle = np.add.reduceat(pieces.mean(axis=1) * weight[:, None], start[:-1], axis=0)
         centre = surface.origin[f] + middle[:, :1] * surface.axes[f, 0] + middle[:, 1:] * surface.axes[f, 1]
         above = np.stack([side, level, leaves[:, 2] >> 1, leaves[:, 3] >> 1], axis=1)
-        parent = np.unique(above, axis=0, return_inverse=True)[1].reshape(-1)
+        parent = distinct(above)[1]
         sides = 2 * np.count_nonzero(surface.group >= 0)  # lids have no patches, and stand behind the facets
-        return Mesh(
+        mesh = Mesh(
             side.astype(np.int32),
             area,
             centre,
             start,
             pieces,
             cdf,
+            np.repeat(side, np.diff(start)).astype(np.int32),
             table[:sides],
             shape[:sides].astype(np.int32),
             leaf,
             parent.astype(np.int32),
         )
+        element = self.element
+        return mesh if element.max(initial=-1) + 1 == len(mesh) else clusters.merged(mesh, element, self.clusters)

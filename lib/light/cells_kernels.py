@@ -20,7 +20,7 @@ class PatchTable(NamedTuple):
 class PatchPieces(NamedTuple):
     """The triangles of each patch; see Mesh."""
 
-    side: np.ndarray  # (N,) int32
+    side: np.ndarray  # (K,) int32, of each triangle
     start: np.ndarray  # (N + 1,) into uv, cdf
     uv: np.ndarray  # (K, 3, 2)
     cdf: np.ndarray  # (K,)
@@ -148,7 +148,7 @@ def leaf_table(leaves, finest, shape, start, total):
 
 @njit(inline="always")
 def in_patch(i, u, v, pieces: PatchPieces):
-    """A point of patch i, in facet coordinates, uniform for uniform (u, v)."""
+    """A point of patch i, uniform for uniform (u, v): its side, and its coordinates on that side's facet."""
     a, b = pieces.start[i], pieces.start[i + 1]
     s = a
     while s < b - 1 and pieces.cdf[s] <= u:
@@ -158,20 +158,34 @@ def in_patch(i, u, v, pieces: PatchPieces):
     r = np.sqrt(u)
     w0, w1, w2 = 1 - r, r * (1 - v), r * v
     t = pieces.uv[s]
-    return w0 * t[0, 0] + w1 * t[1, 0] + w2 * t[2, 0], w0 * t[0, 1] + w1 * t[1, 1] + w2 * t[2, 1]
+    u, v = w0 * t[0, 0] + w1 * t[1, 0] + w2 * t[2, 0], w0 * t[0, 1] + w1 * t[1, 1] + w2 * t[2, 1]
+    return pieces.side[s], u, v
 
 
 @njit(parallel=True)
 def patch_points(n, points, shift, pieces: PatchPieces, surface: SurfaceArrays):
     """(N * n, 3) local: n points of each patch.  points : (n, 4), shift : (N, 4) uint32"""
     origin, axes = surface.origin, surface.axes
-    out = np.empty((len(pieces.side) * n, 3))
-    for i in prange(len(pieces.side)):
-        f = pieces.side[i] >> 1
+    N = len(pieces.start) - 1
+    out = np.empty((N * n, 3))
+    for i in prange(N):
         for k in range(n):
-            u, v = in_patch(i, scrambled(points[k, 0], shift[i, 0]), scrambled(points[k, 1], shift[i, 1]), pieces)
+            s, u, v = in_patch(i, scrambled(points[k, 0], shift[i, 0]), scrambled(points[k, 1], shift[i, 1]), pieces)
+            f = s >> 1
             for d in range(3):
                 out[i * n + k, d] = origin[f, d] + u * axes[f, 0, d] + v * axes[f, 1, d]
+    return out
+
+
+@njit()
+def sides_of_points(n, points, shift, pieces: PatchPieces):
+    """(N * n,) int32: the side that each of the points of `patch_points` lies on, or from which a ray starts."""
+    N = len(pieces.start) - 1
+    out = np.empty(N * n, np.int32)
+    for i in range(N):
+        for k in range(n):
+            s, _, _ = in_patch(i, scrambled(points[k, 0], shift[i, 0]), scrambled(points[k, 1], shift[i, 1]), pieces)
+            out[i * n + k] = s
     return out
 
 

@@ -72,6 +72,7 @@ def _with_new_patches(mesh: Mesh, before: Surface, after: Surface) -> Mesh:
         np.concatenate([mesh.tri_start, mesh.tri_start[-1] + new.tri_start[1:]]).astype(mesh.tri_start.dtype),
         np.concatenate([mesh.tri_uv, new.tri_uv]),
         np.concatenate([mesh.tri_cdf, new.tri_cdf]),
+        np.concatenate([mesh.tri_side, new.tri_side]),
         np.where(added, new.table_start + len(mesh.leaf), start),
         np.where(added[:, None], new.table_shape, shape).astype(np.int32),
         np.concatenate([mesh.leaf, np.where(new.leaf >= 0, new.leaf + len(mesh), -1)]).astype(np.int32),

@@ -144,6 +144,7 @@ MESH = {
     "tri_start": Starts("N+1", into="P"),
     "tri_uv": Real("P", 3, 2),
     "tri_cdf": Real("P", low=0),
+    "tri_side": Whole("P", below="S"),
     "parent": Whole("N", below="N"),
 }
 OTHERS = {

@@ -31,12 +31,11 @@ def patch_rays(first, last, n, points, shift, pieces: PatchPieces, surface: Surf
     origin, axes, normal = surface.origin, surface.axes, surface.normal
     out = np.empty(((last - first) * n, 6), np.float32)
     for i in prange(first, last):
-        f = pieces.side[i] >> 1
-        sign = 1.0 - 2.0 * (pieces.side[i] & 1)
-        nrm = normal[f] * sign
         h0, h1, h2, h3 = shift[i]
         for k in range(n):
-            u, v = in_patch(i, scrambled(points[k, 0], h0), scrambled(points[k, 1], h1), pieces)
+            s, u, v = in_patch(i, scrambled(points[k, 0], h0), scrambled(points[k, 1], h1), pieces)
+            f = s >> 1
+            nrm = normal[f] * (1.0 - 2.0 * (s & 1))
             u, v = inside(u, surface.size[f, 0]), inside(v, surface.size[f, 1])
             row = (i - first) * n + k
             for d in range(3):

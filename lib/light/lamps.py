@@ -14,7 +14,7 @@ from lib.given.rays import shifts, sobol
 from lib.given.rays_kernels import OFFSET
 from lib.light import lamps_kernels as kernels
 from lib.light.cells import Mesh
-from lib.light.cells_kernels import patch_points
+from lib.light.cells_kernels import patch_points, sides_of_points
 from lib.light.form_factors import CHUNK
 from lib.light.lamps_kernels import LampArrays
 from lib.light.surface import Surface, covered, on_hand, side_normals, triangle_areas
@@ -189,7 +189,7 @@ def patch_direct(surface: Surface, mesh: Mesh, lamps, n_lamps, *, n_points, n_sa
     shift = shifts(len(mesh), n_points, seed + 2000)
     p = patch_points(n_points, sobol(n_points), shift, mesh.pieces, surface.arrays)
     normals = side_normals(surface)
-    normal_idx = np.repeat(mesh.side, n_points)
+    normal_idx = sides_of_points(n_points, sobol(n_points), shift, mesh.pieces)
     return direct(
         surface,
         lamps,

@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from lib.core.rows import distinct
 from lib.given import extent
 from lib.given import rays as ray_tools
-from lib.given.model.lids import NEAR
+from lib.given.model.lying import NEAR
 from lib.given.rays import GRID, Caster, Local
 from lib.given.rays_kernels import OFFSET
 from lib.light import surface_kernels as kernels
@@ -194,21 +195,24 @@ def _inside(model, lids, corners, facet, normal, lamp_facet):
     inside[2 * absent], inside[2 * absent + 1] = True, True
     lit = np.setdiff1d(np.flatnonzero(lamp_facet), absent)
     apart = _apart(corners, facet, normal)
+    owner = np.asarray(model.facet_object)[facet]
+    order = np.argsort(owner, kind="stable")
     for obj in np.flatnonzero(model.solid_objects()):
-        mine = np.intersect1d(np.flatnonzero(model.facet_object == obj), there)
-        if not len(mine):
+        its = order[np.searchsorted(owner, obj, sorter=order) : np.searchsorted(owner, obj, "right", sorter=order)]
+        if not len(its):
             continue  # it is not there
+        mine = np.unique(facet[its])
         faces = [p for of, p in lids if of == obj]
-        solid = np.concatenate([apart[np.isin(facet, mine)], *faces])
+        solid = np.concatenate([apart[its], *faces])
         # a lamp that lies on a lid may shine in from a little way outside
         heights = (4 * OFFSET, 2 * NEAR) if faces else (4 * OFFSET,)
-        if len(lit) and any(_enclosed(solid, middle[lit] + height * normal[lit]).any() for height in heights):
+        if any(_enclosed(solid, middle[lit] + height * normal[lit]).any() for height in heights):
             continue  # a room: the lamp shines inside it
-        places = _places(corners, facet, mine, max(1, min(PLACES, MOST_PLACES // len(mine))))
-        for back in (0, 1):
-            above = places + (1 - 2 * back) * 4 * OFFSET * normal[mine]
-            share = _enclosed(solid, above.reshape(-1, 3)).reshape(len(places), -1).mean(axis=0)
-            inside[2 * mine + back] = share > WHOLLY
+        places = _places(corners[its], facet[its], mine, max(1, min(PLACES, MOST_PLACES // len(mine))))
+        up = 4 * OFFSET * normal[mine]
+        above = np.stack([places + up, places - up])  # of fronts and of backs
+        share = _enclosed(solid, above.reshape(-1, 3)).reshape(2, len(places), -1).mean(axis=1)
+        inside[2 * mine], inside[2 * mine + 1] = share > WHOLLY
     return inside
 
 
@@ -238,7 +242,7 @@ def _apart(corners, facet, normal):
     there, first = np.unique(facet, return_index=True)
     turn = np.where(normal[there] @ RAYS_OUT[0] < 0, -1.0, 1.0)[:, None]
     height = np.einsum("ij,ij->i", corners[first, 0], normal[there])[:, None]
-    _, plane = np.unique(np.rint(np.hstack([normal[there], height]) * turn / OFFSET), axis=0, return_inverse=True)
+    plane = distinct(np.rint(np.hstack([normal[there], height]) * turn / OFFSET))[1]
     order = np.argsort(plane, kind="stable")
     rank = np.empty(len(there), int)
     rank[order] = np.arange(len(there)) - np.searchsorted(plane[order], plane[order])
@@ -253,14 +257,20 @@ def _enclosed(solid, points):
     solid : (T, 3, 3) local. Rays leave one more surface than they enter; where three do not say the same, since some
     polygons are turned the wrong way, most of them cross an odd number of polygons.
     """
-    caster, n = Caster(solid), len(points)
+    result = np.zeros(len(points), bool)
+    low, high = solid.min(axis=(0, 1)) - OFFSET, solid.max(axis=(0, 1)) + OFFSET
+    near = np.flatnonzero(((low <= points) & (points <= high)).all(axis=1))
+    if not len(near):
+        return result
+    points, caster, n = points[near], Caster(solid), len(near)
     normal = np.cross(solid[:, 1] - solid[:, 0], solid[:, 2] - solid[:, 0])
     left, odd = np.zeros((len(RAYS_OUT), n)), np.zeros((len(RAYS_OUT), n))
     for k, out in enumerate(RAYS_OUT):
         ray, triangle = caster.crossings(np.hstack([points, np.broadcast_to(out, points.shape)]))
         left[k] = np.bincount(ray, np.sign(normal[triangle] @ out), n)
         odd[k] = np.bincount(ray, minlength=n) % 2
-    return np.where((left == left[0]).all(axis=0), left[0] != 0, odd.mean(axis=0) > 0.5)
+    result[near] = np.where((left == left[0]).all(axis=0), left[0] != 0, odd.mean(axis=0) > 0.5)
+    return result
 
 
 def _overlap(corners, facet, objects, inside):
@@ -271,14 +281,17 @@ def _overlap(corners, facet, objects, inside):
     """
     turn = inside[1::2].astype(np.int8) - inside[0::2]
     solids = np.unique(np.asarray(objects)[turn != 0])
-    owner = np.asarray(objects)[facet]
-    of_solids = (corners[owner == o] for o in solids)
-    boxes = np.array([[c.min(axis=(0, 1)), c.max(axis=(0, 1))] for c in of_solids]).reshape(-1, 2, 3)
-    low, high = boxes[:, 0], boxes[:, 1]
-    reach = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])  # (S, S, 3)
-    meets = (reach > 4 * OFFSET).all(axis=2)
-    np.fill_diagonal(meets, False)
-    return np.where(np.isin(objects, solids[meets.any(axis=1)]), turn, 0).astype(np.int8)
+    owner, count = np.asarray(objects)[facet], int(np.max(objects, initial=0)) + 1
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, owner, corners.min(axis=1))
+    np.maximum.at(high, owner, corners.max(axis=1))
+    low, high = low[solids], high[solids]
+    meets = np.zeros(len(solids), bool)
+    for k in range(len(solids)):
+        others = ((np.minimum(high[k], high) - np.maximum(low[k], low)) > 4 * OFFSET).all(axis=1)
+        others[k] = False
+        meets[k] = others.any()
+    return np.where(np.isin(objects, solids[meets]), turn, 0).astype(np.int8)
 
 
 def _with_lids(corners, facet, normal, cast, lids):

@@ -47,7 +47,7 @@ def light_map(
     texels : about so many;  step : local, their width instead, and then the same rays at a texel whatever others see
     samples : shadow rays of each to each lamp;  n_rays : gathering rays of each, or 0
     """
-    grid = _grids(surface, _in_order(mesh.side), texels, step)
+    grid = _grids(surface, _in_order(mesh.tri_side), texels, step)
     normals = surfaces.side_normals(surface)
     f, rho = grid.side // 2, rho_facet.astype(np.float32)
     good = within(grid.p, f, facet_triangles(surface), normals[2 * f])
@@ -75,7 +75,7 @@ def light_map(
 
 
 def _in_order(side):
-    """The sides of patches as they come: those that a change has added stand behind the others."""
+    """The sides that patches lie on as they come: those that a change has added stand behind the others."""
     sides, first = np.unique(side, return_index=True)
     return sides[np.argsort(first)]
 
@@ -135,18 +135,20 @@ def _by_lamps(surface, lamps, E, grid: _Grids, at, normals, samples, numbers):
 def _by_patches(surface, mesh, indirect, exposed, grid: _Grids, at):
     """(K, C) float32 irradiance by other patches at the texels `at`: the patches' own, fitted smoothly."""
     side, C = grid.side[at], indirect.shape[1]
-    lit = np.flatnonzero(exposed > 0)
+    lit = np.flatnonzero((exposed > 0) & ~mesh.is_cluster)
     place = np.hstack([grid.p[at], kernels.FAR * side[:, None]])
     places = np.hstack([mesh.centre[lit], kernels.FAR * mesh.side[lit, None]])
     patch = _patch_at(mesh, side, grid.index[at], grid.shape, mesh.table_shape[side])
     on, held = np.maximum(patch, 0), patch >= 0
     texels_of_patch = np.bincount(on, held, len(mesh))
+    even = held & mesh.is_cluster[on]  # a cluster has no neighbours on its facets
     between = np.zeros((len(grid.p), C), np.float32)
     rest = indirect
     for _ in range(3):
         # A fit through hollow or domed light lies above or below it. What a patch lacks on average is added until the
         # two agree.
-        between[at] += spread(places, rest[lit], place, surface.axes[side // 2])
+        between[at[even]] += rest[on[even]]
+        between[at[~even]] += spread(places, rest[lit], place[~even], surface.axes[side[~even] // 2])
         sums = np.stack([np.bincount(on, np.where(held, between[at, c], 0), len(mesh)) for c in range(C)], axis=1)
         found = sums / np.maximum(texels_of_patch, 1)[:, None]
         rest = np.where((texels_of_patch > 0)[:, None], indirect - found, 0)

@@ -223,7 +223,10 @@ def _lamp(problem, result, k, scale, explained: Explained, told, moved) -> Lamp:
     known = not np.isnan(problem.emittance[k]).any()
     reflects = problem.rho[problem.groups.index(name)]
     sigma = {}
-    if not known and result.sigma_E is not None and scale != "convention":
+    fixed = scale == "convention" and (
+        result.sigma_E is None or not result.sigma_E[k].any()
+    )  # others are relative to it
+    if not known and result.sigma_E is not None and not fixed:
         sigma["emittance"] = believed(_three(result.sigma_E[k]), MOST_OF_LAMP * np.abs(result.state.E[k]).max())
     if name in explained.lobes:
         sigma |= lamp_lobe.sigma_of(name, explained.lobes, explained.problem, explained.result) or {}

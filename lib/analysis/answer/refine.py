@@ -116,7 +116,9 @@ def _lamps(view, factors, found, explained) -> lamp_place.Lamps | None:
     given = explained.given
     if given is None or given.problem.specular is not None:
         return None
-    return given.once("lamps_that_move", lambda _: lamp_place.Lamps.of(DirectLight(view, factors, found)))
+    return given.once(
+        "lamps_that_move", lambda _: lamp_place.Lamps.of(DirectLight(view, factors, found), given.start.E)
+    )
 
 
 def _most_promising(base: Candidate, lamps, sigma_m, least, above):

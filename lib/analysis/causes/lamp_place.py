@@ -20,6 +20,7 @@ from lib.vision.registration.motions import World
 
 STEP_M = 0.02  # over which the light is differenced
 FARTHEST_M = 0.1  # of one round
+MOST = 4  # lamps that are asked for their place: each question makes the model's surface and the lamp's light anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +34,11 @@ class Lamps:
     things: dict
 
     @classmethod
-    def of(cls, light: DirectLight) -> Lamps:
-        """Those that are small objects of their own."""
+    def of(cls, light: DirectLight, emittance=None) -> Lamps:
+        """Those that are small objects of their own; of many the MOST that give the picture most light.
+
+        emittance : (L, C), None: all alike
+        """
         model, things = light.view.model, {}
         world = World(model, light.view.camera)
         for lamp in light.factors.own_lamps:
@@ -42,7 +46,10 @@ class Lamps:
             owner = np.unique(np.asarray(model.facet_object)[facets])
             if len(owner) == 1 and owner[0] in world.movable:
                 things[lamp] = int(owner[0]), world.axes(int(owner[0]))[0]
-        return cls(light, things)
+        share = light.found.tiles.direct.mean(axis=0) * (1 if emittance is None else emittance.mean(axis=1))
+        given = dict(zip(light.factors.lamps, share, strict=True))
+        most = sorted(things, key=given.get, reverse=True)[:MOST]
+        return cls(light, {lamp: place for lamp, place in things.items() if lamp in most})
 
     def moved(self, lamp, offset):
         """The model with one lamp moved by (3,) m."""

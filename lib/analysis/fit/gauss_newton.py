@@ -10,7 +10,7 @@ from lib.analysis.fit.equations import Equations, Layout, Unknowns
 from lib.analysis.fit.problem import Problem, Result, huber, rmse, scale, variance, weights
 from lib.analysis.fit.start import initialise
 from lib.analysis.fit.transport import TileLight
-from lib.analysis.fit.uncertainty import uncertainty
+from lib.analysis.fit.uncertainty import NormalEquations, uncertainty
 
 TRIES = 12  # at a damping ten times larger each, until a step lowers the cost
 UNBIASED_STEPS = 8
@@ -19,6 +19,8 @@ LASTING = 0.5
 DOUBLINGS = 6
 FAR = 0.1  # display, rms: from a start that is farther away reflectances come nearer before gamma moves,
 CLOSER = 0.5  # as long as each step leaves less than so much of the distance
+
+LOOSE = 0.5  # of itself: a sigma of the lamps' light beyond that leaves the scale to a convention
 
 
 def gauss_newton(
@@ -185,22 +187,40 @@ def _bounded_step(H, g, theta, low, high, damping, still=slice(0, 0)):
 def fit(problem: Problem, **options):
     """`gauss_newton`, and what fixed the scale.
 
-    Interreflection alone may have to fix it. Where it cannot (the lamps' sigma is half their value or more), the lamps
-    are set to 1 by convention, and the rest is fitted again.
+    Interreflection alone may have to fix it. Where it cannot (the sigma of the lamps' light together is half of that
+    light or more), the lamp that gives most of it is set to 1 by convention, and the rest is fitted again: ratios
+    between lamps stand. A lamp that is loose beside others that are not keeps its own sigma.
     """
     fixed_by = scale(problem)
     result = gauss_newton(problem, **options)
-    if fixed_by == "interreflection" and len(problem.tile_group) and _is_loose(problem, result):
-        emittance = np.where(problem.own_lamps[:, None], 1.0, problem.emittance)
-        result = gauss_newton(replace(problem, emittance=emittance), **options)
-        result.warnings.append(
-            "interreflection is too weak here to fix the scale: lamps of unknown emittance are taken as 1, and all "
-            "else is right up to one factor: give an emittance, or a reference"
-        )
-        fixed_by = "convention"
-    return result, fixed_by
+    if fixed_by != "interreflection" or len(problem.tile_group) == 0:
+        return result, fixed_by
+    light, sigma = _light_of_lamps(problem, result)
+    total = light.sum(axis=0)
+    if ((total > 0) & (sigma <= LOOSE * total)).all():
+        return result, fixed_by
+    most = np.flatnonzero(problem.own_lamps)[light.sum(axis=1)[problem.own_lamps].argmax()]
+    emittance = problem.emittance.copy()
+    emittance[most] = 1.0
+    result = gauss_newton(replace(problem, emittance=emittance), **options)
+    result.warnings.append(
+        f"interreflection is too weak here to fix the scale: the emittance of {problem.lamps[most]!r} is taken as 1, "
+        "and all else is right up to one factor: give an emittance, or a reference"
+    )
+    return result, "convention"
 
 
-def _is_loose(problem, result):
-    own = problem.own_lamps
-    return bool((result.sigma_E[own] > 0.5 * result.state.E[own]).any())
+def _light_of_lamps(problem, result):
+    """(L, C) what each unknown lamp adds to the picture, and (C,) the sigma of their sum, both in display."""
+    at, own = result.at, result.at.layout.E  # (k, 2) lamp and channel
+    normal = NormalEquations.of(problem, at)
+    first, last = at.layout.ends[:2]
+    share = normal.J[:, first:last].mean(axis=0)  # of one of emittance
+    light, sigma = np.zeros(result.state.E.shape), np.zeros(problem.channels)
+    light[tuple(own.T)] = share * result.state.E[tuple(own.T)]
+    together = normal.correlation()[first:last, first:last]
+    each = share * result.sigma_E[tuple(own.T)]
+    for c in range(problem.channels):
+        of = own[:, 1] == c
+        sigma[c] = np.sqrt(max(each[of] @ together[np.ix_(of, of)] @ each[of], 0.0))
+    return light, sigma

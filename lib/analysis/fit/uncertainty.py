@@ -30,6 +30,7 @@ NEAR = 0.05  # display: functions that differ by more are told apart, 480 nats a
 LOBES_KNOWN_TO = 0.005  # of alpha: what lobes' rays leave, which no tile tells of; without it 75 % of 57 intervals held
 LITTLE = 1e-6  # of what is known of a number beforehand: tiles may tell nothing at all
 LEAST = 0.02  # smaller values are as unsure as this one, relative to it
+WIDE = 10.0  # times itself: how far a parameter may be off that nothing determines
 
 
 def uncertainty(problem: Problem, at: Equations, result: Result):
@@ -144,6 +145,13 @@ class NormalEquations:
             score = np.add.reduceat(score[order], first, axis=0)
         noise = self.J.T @ ((self.weight**2 * self.pixel)[:, None] * self.J)
         return self.inverse @ (score.T @ score + noise + self.prior) @ self.inverse
+
+    def correlation(self):
+        """(n, n) how the parameters err together, also in what nothing determines; each is known to WIDE of itself."""
+        size = WIDE * np.maximum(np.abs(self.theta), LEAST)
+        covariance = np.linalg.inv(np.eye(self.n) + self.H * np.outer(size, size))
+        spread = np.sqrt(np.diag(covariance))
+        return covariance / np.outer(spread, spread)
 
     def spread(self, error):
         """Covariance (n, n) that errors (T, C) of the tiles' display values leave, independent from tile to tile."""

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from lib.core.report import Note
+from lib.core.rows import distinct
 from lib.core.stage import BadInput
 from lib.given.model.facets import joined
 from lib.given.model.lids import Lids, lids
@@ -74,22 +75,31 @@ class Model:
         solid = self.closed_objects.copy()
         solid[list(self.lids.objects)] = True
         scale = np.ptp(self.vertices, axis=0).max()
-        points = [] if camera_centre is None else [np.asarray(camera_centre, float)]
-        area = self.triangle_normals()[1]
+        points = np.zeros((0, 3)) if camera_centre is None else np.asarray(camera_centre, float)[None]
         lamp_groups = [self.groups.index(name) for name in lamps if name in self.groups]
-        for facet in np.flatnonzero(np.isin(self.facet_group, lamp_groups)):
-            mine = np.flatnonzero(self.triangle_facet == facet)
-            middle = self.corners()[mine[np.argmax(area[mine])]].mean(axis=0)
-            points.append(middle + 1e-6 * scale * self.facet_normal[facet])
-        if not points:
+        emits = np.isin(self.facet_group, lamp_groups)
+        if emits.any():
+            largest = self.largest_triangles(np.flatnonzero(emits))
+            normal = self.facet_normal[self.triangle_facet[largest]]
+            points = np.concatenate([points, self.corners()[largest].mean(axis=1) + 1e-6 * scale * normal])
+        if len(points) == 0:
             return solid
-        owner = self.facet_object[self.triangle_facet]
+        corners, owner = self.corners(), self.facet_object[self.triangle_facet]
+        order = np.argsort(owner, kind="stable")
+        start = np.searchsorted(owner[order], np.arange(len(self.objects) + 1))
         for i in np.flatnonzero(solid):
-            p = np.concatenate(
-                [self.corners()[owner == i], *(lid.corners for lid in self.lids.faces if lid.object == i)]
-            )
-            solid[i] = not any(abs(_winding_number(p, point)) > 0.5 for point in points)
+            mine = order[start[i] : start[i + 1]]
+            p = np.concatenate([corners[mine], *(lid.corners for lid in self.lids.faces if lid.object == i)])
+            if len(p):
+                near = ((p.min(axis=(0, 1)) <= points) & (points <= p.max(axis=(0, 1)))).all(axis=1)
+                solid[i] = not any(abs(_winding_number(p, point)) > 0.5 for point in points[near])
         return solid
+
+    def largest_triangles(self, facets):
+        """(k,) int: of each of the facets that have triangles the largest, the first of equals."""
+        its = np.flatnonzero(np.isin(self.triangle_facet, facets))
+        its = its[np.lexsort((its, -self.triangle_normals()[1][its], self.triangle_facet[its]))]
+        return its[np.unique(self.triangle_facet[its], return_index=True)[1]]
 
 
 def _winding_number(p, point):
@@ -116,7 +126,7 @@ def build(path, polygons) -> Model:
         raise BadInput(
             f"{path}: vertex {number + 1}: {'xyz'[axis]} = {value:g} is not a number of at most {FARTHEST:g}"
         )
-    position = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)
+    position = distinct(vertices)[1]
     pieces, warnings, crossed = planar_pieces(path, polygons, position)
     facet_of_piece, closed = joined(vertices, position, pieces, len(polygons.objects))
     triangles, of_piece, crossed_too = triangulated(vertices, pieces)
@@ -189,7 +199,7 @@ def _with_absent(path, model, polygons) -> Model:
 def _first_of_its_like(key):
     """(T,) bool: no row above is the same."""
     first = np.zeros(len(key), bool)
-    first[np.unique(key, axis=0, return_index=True)[1]] = True
+    first[distinct(key)[0]] = True
     return first
 
 

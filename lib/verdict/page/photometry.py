@@ -46,7 +46,7 @@ SCALE_WORDS = {
     "interreflection": "No lamp and no reference was given: only the light between the surfaces fixes the scale, and"
     " the standard deviations contain that.",
     "convention": "No lamp and no reference was given, and nothing in the picture fixes the scale: by convention the"
-    " lamp’s emittance is 1. Reflectances are relative.",
+    " emittance of the lamp that gives most light is 1. Reflectances and other lamps are relative.",
     "contradicted": "The photograph contradicts what is told of the light (see above): ratios between reflectances"
     " hold, the factor that all have in common need not.",
 }
