@@ -35,10 +35,13 @@ def stored(F):
 def times(matrices, X, channel=None):
     """Each column of X (n, K) times the matrix of its channel: (rows, K), or the number 0 where there is no matrix.
 
-    matrices : [one for all channels], or one for each, 0 for nothing; or None;  channel : (K,), by default 0 ... K - 1
+    matrices : [one for all channels], or one for each, 0 for nothing; or None; or what has such a method
+    channel : (K,), by default 0 ... K - 1
     """
     if matrices is None:
         return 0
+    if hasattr(matrices, "times"):
+        return matrices.times(X, np.arange(X.shape[1]) if channel is None else channel)
     if len(matrices) == 1:
         return product(matrices[0], X) if not isinstance(matrices[0], int) else 0
     channel = np.arange(X.shape[1]) if channel is None else channel

@@ -9,8 +9,10 @@ import numpy as np
 
 from lib.analysis.fit.problem import Problem, State
 from lib.light.balance import reflected, stored, times
+from lib.light.corrected import product as lit
 
 PARTS = ("F", "D", "G", "D_tile", "W", "V")
+SPARSE = ("F", "G", "W")  # of patches: most of the light comes past no mirror, alike in all channels
 
 
 class Matrices:
@@ -39,14 +41,18 @@ class Matrices:
         base = self.base[name]
         if self.terms is None:
             return None if base is None else [base]
-        if base is None and not getattr(self.terms, name):
+        parts = getattr(self.terms, name)
+        if base is None and not parts:
             return None
+        if name in SPARSE and self.power.shape[1] > 1:
+            return ByChain(base, parts, self.power)
         mixture = self.terms.mixture(name, base)
         return [mixture.at(self.power[:, c]) for c in range(self.power.shape[1])]
 
     @cached_property
     def F(self):
-        return [stored(A) for A in self._mixed("F")]
+        mixed = self._mixed("F")
+        return mixed if isinstance(mixed, ByChain) else [stored(A) for A in mixed]
 
     def __getattr__(self, name):
         """G, D, D_tile, W, V, when first asked for."""
@@ -69,6 +75,26 @@ class Matrices:
         """Derivatives with respect to rho_s[m, c]: {part: a matrix or 0}, and that of `seen`, (T,)."""
         slope = self.terms.chains.slope(self.rho_s, m)[:, c]
         return {name: self.terms.mixture(name, None).at(slope) for name in PARTS}, slope[self.terms.tile_chain]
+
+
+class ByChain:
+    """base + sum_k power_k parts_k, another sum in each channel, as what multiplies light: the base once for all.
+
+    base : as it multiplies, or None;  parts : {k: CSR};  power : (K, C)
+    """
+
+    def __init__(self, base, parts, power):
+        self.base, self.parts, self.power = base, parts, power
+
+    def times(self, X, channel):
+        """As of lib.light.balance.times."""
+        total = None if self.base is None else lit(self.base, X)
+        for k, A in self.parts.items():
+            power = self.power[k][channel].astype(X.dtype)
+            if power.any():
+                more = lit(A, X * power)
+                total = more if total is None else total + more
+        return 0 if total is None else total
 
 
 class TileLight:
