@@ -149,10 +149,11 @@ KNOWN = "lamps: {lamp: [3.0, 2.8, 2.5]}"
             {"display": srgb, "file": "left.tif", "bits": 16, "style": "no objects", "offset": (1e6, -7e5, 3e5)},
             "lamps",
         ),
-        (
+        pytest.param(
             "lamps: {lamp: unknown}\nreference: {ground: [0.42, 0.55, 0.31]}\ntransfer: linear",
             {"display": lambda B: B, "bits": 16, "style": "glb", "scale": 1e3},
             "reference",
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["a millimetre, odd OBJ", "1e6 m away, sRGB TIFF", "kilometres, GLB, lamp unknown"],

@@ -56,7 +56,7 @@ def angle_deg(m, true):
 
 
 @pytest.mark.scene
-@pytest.mark.parametrize("count", [15, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.slow)])
 def test_coverage_of_true_regions(count):
     """Scenes of 6 exact quadrilaterals: of 95 % regions, 90 to 98 % hold the truth.
 
