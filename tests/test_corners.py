@@ -94,7 +94,7 @@ def test_without_noise_the_true_pose_comes_first(tmp_path):
 
 @pytest.mark.scene
 @pytest.mark.parametrize(
-    ("seeds", "most", "so"), [((100, 101), 1, 0), pytest.param((100, 108), 7, 5, marks=pytest.mark.slow)]
+    ("seeds", "most", "so"), [((100, 103), 2, 1), pytest.param((100, 108), 7, 5, marks=pytest.mark.slow)]
 )
 def test_objects_before_texture(tmp_path, capsys, seeds, most, so):
     """Two or three facets of each object are known, too few for planes: by corners most are answered, all right."""

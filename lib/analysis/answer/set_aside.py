@@ -21,18 +21,20 @@ from lib.analysis.fit.equations import Unknowns
 from lib.analysis.fit.facts import USUAL_GAMMA
 from lib.analysis.fit.folds import FOLDS
 from lib.analysis.fit.problem import EDGE_SHARE
+from lib.analysis.fit.uncertainty import LEAST
 
 NAMED = "group_wrong"  # of the causes the one whose subject is an object
+# What is seen in pixels and in the file stands, whatever explains the rest: the rest is not asked for it again.
+STANDS = (NAMED, "object_missing", "noise")
 # Of the pixels that are fitted: as much as one fold of those that judge a fit. Of less of a picture anything is true.
 MOST = 1 / FOLDS
 HARDLY = 0.05  # display: the noise of a tile that tells how bright a thing looks, but not what else is so
-LEAST = 0.02  # smaller reflectances are as unsure as this one
 # Cameras' gammas differ by less. A fit of a wrong model that finds another has bent to the model.
 UNUSUAL_FROM = 1.4
 
 
 def of_the_rest(task, answer: Answer, scope, **options) -> Answer | None:
-    """The answer without the tiles of the objects that are named, where the rest fits better and is known better.
+    """The answer in which the objects that are named are apart, where the rest fits better and is known better.
 
     None where no object is named, or too much is, or something is wrong with all.
     scope : of the search;  options : of gauss_newton.gauss_newton
@@ -45,8 +47,8 @@ def of_the_rest(task, answer: Answer, scope, **options) -> Answer | None:
     if not _is_better(again, answer):
         return None
     more = disagreements.disagreements(again.problem, again.result, task.found, task.transfer, found.rivals)
-    named = [w for w in answer.why if w.cause == NAMED]
-    again.why = [*named, *(w for w in more if w.cause != "unknown")]
+    stands = [w for w in answer.why if w.cause in STANDS]
+    again.why = disagreements.joined(stands, [w for w in more if w.cause != "unknown"])
     return again
 
 

@@ -20,7 +20,9 @@ from lib.vision.registration.motions import World
 
 STEP_M = 0.02  # over which the light is differenced
 FARTHEST_M = 0.1  # of one round
-MOST = 4  # lamps that are asked for their place: each question makes the model's surface and the lamp's light anew
+# Of many lamps those are asked for their place that give most light, at least FEW, and as many as have so many facets
+# together with the model of each: a question makes the model's surface anew, .2 ms a facet.
+FEW, FACETS = 4, 50_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ class Lamps:
 
     @classmethod
     def of(cls, light: DirectLight, emittance=None) -> Lamps:
-        """Those that are small objects of their own; of many the MOST that give the picture most light.
+        """Those that are small objects of their own; of many those that give the picture most light.
 
         emittance : (L, C), None: all alike
         """
@@ -48,7 +50,7 @@ class Lamps:
                 things[lamp] = int(owner[0]), world.axes(int(owner[0]))[0]
         share = light.found.tiles.direct.mean(axis=0) * (1 if emittance is None else emittance.mean(axis=1))
         given = dict(zip(light.factors.lamps, share, strict=True))
-        most = sorted(things, key=given.get, reverse=True)[:MOST]
+        most = sorted(things, key=given.get, reverse=True)[: max(FEW, FACETS // model.n_facets)]
         return cls(light, {lamp: place for lamp, place in things.items() if lamp in most})
 
     def moved(self, lamp, offset):

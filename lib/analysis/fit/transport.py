@@ -9,7 +9,6 @@ import numpy as np
 
 from lib.analysis.fit.problem import Problem, State
 from lib.light.balance import reflected, stored, times
-from lib.light.corrected import product as lit
 
 PARTS = ("F", "D", "G", "D_tile", "W", "V")
 SPARSE = ("F", "G", "W")  # of patches: most of the light comes past no mirror, alike in all channels
@@ -88,13 +87,12 @@ class ByChain:
 
     def times(self, X, channel):
         """As of lib.light.balance.times."""
-        total = None if self.base is None else lit(self.base, X)
+        total = 0 if self.base is None else times([self.base], X)
         for k, A in self.parts.items():
             power = self.power[k][channel].astype(X.dtype)
             if power.any():
-                more = lit(A, X * power)
-                total = more if total is None else total + more
-        return 0 if total is None else total
+                total = total + times([A], X * power)
+        return total
 
 
 class TileLight:
