@@ -35,6 +35,21 @@ def test_a_box_too_many_is_set_aside(tmp_path):
     assert off < 3
 
 
+@pytest.mark.scene
+def test_what_the_model_lacks_is_still_said(tmp_path):
+    """A box of another material and one that the model has not: setting aside the one dropped the other."""
+    (tmp_path / "true").mkdir(), (tmp_path / "given").mkdir()
+    camera, power = look((3.8, 1.2, 1.5), (0, 1.5, 1.0), **CAMERA), [(6.0, 6.0, 6.0)]
+    lacking, box = rooms.solid("lacking", 0.6, 1.9, 0, 1.3, 2.6, 0.9), rooms.solid("box", 0.8, 0.3, 0, 1.3, 0.8, 0.7)
+    true = Studio(tmp_path / "true", rooms.room() | rooms.LAMP | box | lacking, camera)
+    paints = PAINTS | {"box": (0.1, 0.2, 0.5), "lacking": (0.2, 0.3, 0.1)}
+    light = true.picture({name: np.array(rho) for name, rho in paints.items()}, power)
+    box = {"box": [("bottom", p) for _, p in box["box"]]}
+    found, _ = Studio(tmp_path / "given", rooms.room() | rooms.LAMP | box, camera).fit(photograph(light), power)
+    assert {"group_wrong", "object_missing"} <= {w["cause"] for w in found["why"]}
+    assert found["status"] != "converged"
+
+
 def task(objects=("room", "box")):
     """Of two tiles, one of each object."""
     view = SimpleNamespace(model=SimpleNamespace(objects=objects))
