@@ -23,12 +23,12 @@ sys.path[0] = str(Path(__file__).resolve().parents[1])  # not stages/: its names
 from lib.core import stage
 
 FILES = "group object facet legend depth materials rendered exr scores truth"
-VISION = "model calibration lens lens_right camera camera_right posed surfaces facets pose poses"
+VISION = "model calibration lens lens_right camera camera_right posed surfaces facets poses"
 
 
 def options():
     parser = stage.parser(
-        __doc__, may_read=f"{FILES} {VISION}", may_lack="mirror", writes="scorecard comparison", refined="model"
+        __doc__, may_read=f"{FILES} {VISION}", may_lack="mirror pose", writes="scorecard comparison", refined="model"
     )
     parser.add_argument("--scene", default="scene", help="its name")
     parser.add_argument("--reports", nargs="*", default=[])

@@ -27,7 +27,8 @@ def options():
     parser = stage.parser(
         __doc__,
         reads="model camera photograph",
-        may_read="photograph_right camera_right camera_pose objects",
+        may_read="photograph_right camera_right objects",
+        may_lack="camera_pose",
         writes="posed_model pose",
     )
     parser.add_argument("--movable", type=stage.json_option, default=[], help="names of objects of the model")

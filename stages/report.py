@@ -22,12 +22,12 @@ from lib.core import stage
 FILES = (
     "photograph group object facet legend depth trusted hidden materials rendered difference scores scorecard "
     "comparison posed photograph_right regions regions_right surfaces surfaces_right camera camera_right matches "
-    "facets pose calibration orientation model poses photos gltf mitsuba radiance usd colmap blender"
+    "facets calibration orientation model poses photos gltf mitsuba radiance usd colmap blender"
 )
 
 
 def options():
-    parser = stage.parser(__doc__, may_read=FILES, writes="page", refined="camera model")
+    parser = stage.parser(__doc__, may_read=FILES, may_lack="pose", writes="page", refined="camera model")
     parser.add_argument("--scene", default="scene", help="its name")
     parser.add_argument("--transfer", type=stage.json_option, help="what scene.yaml says of it")
     parser.add_argument("--reports", nargs="*", default=[])

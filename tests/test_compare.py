@@ -558,6 +558,24 @@ def test_without_truth_or_anything_there_is_still_a_scorecard(run, outputs):
     assert (outputs / "out/scorecard.csv").read_text().count("\n") == 1
 
 
+def test_what_truth_or_the_camera_does_not_tell_is_not_asked(run, outputs):
+    """A legend of truth with groups alone, and no pose.json, as of a camera told in numbers: both ended whole runs."""
+    (outputs / "truth/legend.json").write_text('{"groups": ["wall", "door"]}')
+    b = outputs / "build"
+    result = run(
+        *command(
+            outputs,
+            pose=b / "pose.json",
+            group=b / "group.png",
+            legend=b / "legend.json",
+            truth=outputs / "truth",
+        )
+    )
+    assert result.returncode == 0, result.stderr
+    rows = {r["error"]: r for r in csv.DictReader((outputs / "out/scorecard.csv").read_text().splitlines())}
+    assert rows["index.differ"]["value"] == "0" and "object.differ" not in rows
+
+
 def test_another_size_is_said_and_left_out(run, outputs):
     image.write_png16(outputs / "truth/group.png", np.ones((5, 5), int))
     result = run(

@@ -38,6 +38,20 @@ def test_a_pipeline_that_contradicts_itself(tmp_path, text, problem):
         read_pipeline(tmp_path / "pipeline.yaml")
 
 
+def test_who_reads_what_need_not_be_written_can_do_without_it():
+    """A camera told in numbers has no pose.json: `compare`, after all else had run, ended at that."""
+    pipeline = read_pipeline(ROOT / "pipeline.yaml").values()
+    same = {"<camera pose>": ("pose.json", "pose.camera.json")}  # of scenes with movable objects, and of others
+    files = {name for s in pipeline for file in s.may_write.values() for name in (file, *same.get(file, ()))}
+    lacking = [
+        (reader.name, option)
+        for reader in pipeline
+        for option, file in (reader.may_read | reader.reads).items()
+        if file in files and option not in stages.module(reader.name).options().get_default("_may_lack")
+    ]
+    assert lacking == []
+
+
 def test_imports_are_followed_into_functions_and_packages(tmp_path):
     for name, text in {
         "stages/a.py": "def main():\n    from lib import deep, other as o\n    import numpy\n",

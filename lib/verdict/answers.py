@@ -31,7 +31,10 @@ READERS = {
     "pose": lambda path: record.read(path, records.Pose),
     "poses": lambda path: record.read(path, records.FurtherPhotographs),
 }
-TRUE_READERS = READERS | {"pose": lambda path: record.read(path, records.ObjectPoses)}
+TRUE_READERS = READERS | {
+    "legend": lambda path: record.read(path, records.TrueLegend),
+    "pose": lambda path: record.read(path, records.ObjectPoses),
+}
 # of the vision half: read only where truth says something of it
 VISION = (
     *("model", "calibration", "lens", "lens_right", "camera", "camera_right", "posed", "surfaces", "facets", "pose"),

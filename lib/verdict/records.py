@@ -26,6 +26,13 @@ class Legend:
 
 
 @dataclass(frozen=True)
+class TrueLegend(Legend):
+    """The same of truth, which may name the groups alone."""
+
+    objects: list | tuple = told(list_with(word(), "names"), ())
+
+
+@dataclass(frozen=True)
 class Score:
     """Of display values in [0, 1], against the photograph."""
 
